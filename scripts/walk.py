@@ -41,9 +41,9 @@ def modules_in_order(work: Callable[[], object]) -> list[str]:
 def job(name: str) -> Callable[[], object]:
     """What is walked through."""
     if Path(name).name.startswith("campaign"):
-        from hyperval.campaign import jobs_of, run_campaign
+        from hyperval.campaign import load_jobs, run_campaign
 
-        return lambda: [run_campaign(one) for one in jobs_of(Path(name))]
+        return lambda: [run_campaign(one) for one in load_jobs(Path(name))]
     from hyperval.model import predict
     from hyperval.scenario import load_scenario
 

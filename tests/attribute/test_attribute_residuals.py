@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from hyperval import compare, products
-from hyperval.attribute import alarm_ratios, quantities, reason_for, sampled_covariance, stack_of
+from hyperval.attribute import alarm_ratios, explain_ratio, quantities, sampled_covariance, stack_of
 from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))
@@ -34,8 +34,8 @@ def test_spectra_that_lose_light_or_stand_in_other_light():
     means = {"grass": [1.0, 3.0], "roof": [2.0, 2.0]}
     seen = {name: products.SpectralEstimate(np.array(mean), np.eye(2)) for name, mean in means.items()}
     stack = stack_of(products.PredictedProducts(AXIS, radiance=seen), products.ObservedProducts(AXIS, radiance=seen))
-    assert stack.levelled(stack.observed).tolist() == [1.0, -1.0, 0.0, 0.0]
-    shade, _, cut = stack.single(np.array([1.0, 4.0, 2.0, 2.0])).items()
+    assert stack.spectral_stray_light(stack.observed).tolist() == [1.0, -1.0, 0.0, 0.0]
+    shade, _, cut = stack.subject_errors(np.array([1.0, 4.0, 2.0, 2.0])).items()
     assert (shade[0].name, shade[1][:, 0].tolist()) == ("light on grass", [-0.5, -2.0, 0.0, 0.0])  # half of the light
     assert (cut[0].labels, cut[1][:, 0].tolist()) == (("at 3",), [0.0, -1.0, 0.0, 0.0])
 
@@ -150,6 +150,6 @@ def ratio(value, spread=1.2):
     ],
 )
 def test_the_reason_is_the_experiment_that_leaves_least(before, tried, words):
-    assert reason_for(ratio(before), zip("ABC", map(ratio, tried), strict=False)) == words
-    wide = reason_for(ratio(before, spread=5.0), [])
+    assert explain_ratio(ratio(before), zip("ABC", map(ratio, tried), strict=False)) == words
+    wide = explain_ratio(ratio(before, spread=5.0), [])
     assert ("within its interval" in wide) == (before != 1.9)

@@ -11,7 +11,7 @@ import yaml
 from uncertain_scene import AXIS, engine, run, scenario
 
 from hyperval.attribute import NotInjectable, errors_of_file, further_candidates, injected_errors, injected_prediction
-from hyperval.campaign import jobs_of, run_campaign
+from hyperval.campaign import load_jobs, run_campaign
 from hyperval.errors import UsageError
 from hyperval.model import Origins, predict, read_world
 from hyperval.results import Outcome
@@ -34,7 +34,7 @@ BASE, ORIGINS = run(SCENE), Origins(axis=AXIS, engine=engine)
 
 def test_noise_without_signal_is_a_cause_of_a_sensor_that_is_changed_nowhere():
     (noise,) = [c for c in further_candidates([read_world(SCENE, ORIGINS)]) if c.name == "noise without signal"]
-    (truth,) = noise.at(0, 20.0)
+    (truth,) = noise.truths(0, 20.0)
     there = predict(with_settings(SCENE, {"sensor_changes": {"fixed_noise_factor": 2.0}}), ORIGINS).snr["grass"].mean
     np.testing.assert_allclose(predict(SCENE, ORIGINS, truth=truth).snr["grass"].mean, there, rtol=1e-12)
 
@@ -202,7 +202,7 @@ def _state_surroundings(small):
 
 
 def _reasons(small):
-    table = run_campaign(jobs_of(small.write())[0]).table
+    table = run_campaign(load_jobs(small.write())[0]).table
     gains = {
         r.method: r.value
         for r in table

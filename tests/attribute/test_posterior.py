@@ -43,7 +43,7 @@ def _posterior(residual, columns=COLUMNS, covariance=None):
 def test_a_residual_and_what_is_said_of_it(residual, conclusion):
     found = _posterior(residual)
     assert conclusion in found.conclusion
-    assert ("sufficient" in conclusion and "not" not in conclusion) == found.enough
+    assert ("sufficient" in conclusion and "not" not in conclusion) == found.is_sufficient
 
 
 def test_a_noise_that_is_wrong_is_named_where_the_sum_of_all_residuals_passes():
@@ -55,7 +55,7 @@ def test_a_noise_that_is_wrong_is_named_where_the_sum_of_all_residuals_passes():
     columns = {cause: np.outer(electrons, cause.sizes)}
     found = attribute.Residuals(residual, np.eye(n), columns, np.zeros((n, 1)) + 0.1).posterior("all")
     assert found.p_value > 0.05
-    assert found.first == "electrons"
+    assert found.first_cause == "electrons"
 
 
 def test_what_befalls_all_subjects_comes_before_what_befalls_one():
@@ -70,13 +70,13 @@ def test_what_befalls_all_subjects_comes_before_what_befalls_one():
 def test_a_change_is_not_bounded_by_what_is_stated():
     bounded, free = (_posterior(30.0 * (X - 0.5), {replace(TILT, unbounded=u): COLUMNS[TILT]}) for u in (False, True))
     assert bounded.fits[0].limited
-    assert (free.first, free.fits[0].units) == ("tilt", pytest.approx(30.0, rel=0.01))
+    assert (free.first_cause, free.fits[0].units) == ("tilt", pytest.approx(30.0, rel=0.01))
 
 
 def test_evidence_is_the_likelihood_averaged_over_the_prior():
     """Of sizes by quadrature on a grid of its own, of directions by the normal density with each spread."""
     residual = 0.12 * np.ones(N) + WAVE
-    size = np.linspace(*GAIN.ends, 400_001)
+    size = np.linspace(*GAIN.size_limits, 400_001)
     prior = 1.0 / (1.0 + (size / 2.0) ** 2)
     logs = size * (100.0 * residual.sum()) - 0.5 * size**2 * 100.0 * N
     expected = np.log(np.trapezoid(np.exp(logs) * prior, size) / np.trapezoid(prior, size))
@@ -92,13 +92,13 @@ def test_worlds_that_hold_nothing_are_rarely_blamed_and_what_is_large_is_named()
     """Rates of drawn worlds: of nothing 5 % are blamed at most, of causes from half to five times the least seen."""
     rng = np.random.default_rng(11)
     reasoner = attribute.Reasoner({c: g / 0.1 for c, g in COLUMNS.items()}, WIDE / 0.1)
-    blamed = [reasoner.posterior("", rng.normal(size=N)).first != attribute.NOTHING for _ in range(200)]
+    blamed = [reasoner.posterior("", rng.normal(size=N)).first_cause != attribute.NOTHING for _ in range(200)]
     assert np.mean(blamed) < 0.05
-    drawn = [(kind, found.first) for kind, found in reasoner.drawn(rng, 60)]
+    drawn = [(kind, found.first_cause) for kind, found in reasoner.simulate(rng, 60)]
     assert np.mean([kind == first for kind, first in drawn if first != attribute.NOTHING]) > 0.8
     assert np.mean([first == kind for kind, first in drawn if kind == attribute.NOTHING]) > 0.9
     faint = attribute.Reasoner({TILT: 0.05 * COLUMNS[TILT]}, WIDE)  # within its bounds it cannot be seen
-    assert {kind for kind, _ in faint.drawn(rng, 3)} == {attribute.NONE, attribute.NOTHING}
+    assert {kind for kind, _ in faint.simulate(rng, 3)} == {attribute.NONE, attribute.NOTHING}
 
 
 def _three_subjects():
@@ -122,7 +122,7 @@ def test_what_all_subjects_share_is_told_apart_from_what_differs():
         found = {name: data.posterior(name) for name, data in parts.items()}
         assert TILT not in parts[attribute.DIFFERENT].columns  # what all share
         assert [found[name].dof for name in (attribute.COMMON, attribute.DIFFERENT)] == [20, 40]
-        assert found[group].first == candidate.name
+        assert found[group].first_cause == candidate.name
         assert found[group].fits[0].units == pytest.approx(3.0, abs=0.3)
 
 
@@ -193,7 +193,7 @@ def test_usual_inputs_are_those_that_a_scenario_has_and_does_not_state(case):
     assert {*case["among"]} <= found
     assert not {*case["absent"]} & found
     level = next(c for c in further if c.name == "level of the spectrum of c0")
-    np.testing.assert_allclose(level.at(0, -4.0)[0]["surfaces.[c0].mean"], 0.16)  # 4 steps of 5 % less than 0.2
+    np.testing.assert_allclose(level.truths(0, -4.0)[0]["surfaces.[c0].mean"], 0.16)  # 4 steps of 5 % less than 0.2
 
 
 def test_files_of_two_scenarios_in_each_others_place_are_a_cause(tmp_path):
@@ -205,7 +205,7 @@ def test_files_of_two_scenarios_in_each_others_place_are_a_cause(tmp_path):
         data = {"name": name, "scene": scene, "processing": {"elm": "none", "detectors": []}}
         worlds.append(read_world(Scenario.model_validate(data), Origins(axis=AXIS, engine=stand_in_atmosphere)))
     entry = next(c for c in attribute.rarer_candidates(worlds) if c.name == "entry of a surface")
-    (exchanged,) = [truth for i, told in enumerate(entry.labels) if "exchanged" in told for truth in [entry.at(0, i)]]
+    (exchanged,) = [entry.truths(0, i) for i, label in enumerate(entry.labels) if "exchanged" in label]
     assert [{path: mean.tolist() for path, mean in truth.items()} for truth in exchanged] == [
         {"surfaces.[a].mean": pytest.approx([0.3] * 3)}, {"surfaces.[b].mean": pytest.approx([0.1] * 3)}
     ]  # fmt: skip

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hyperval import baseline, cli
-from hyperval.baseline import Accepted, accept, accepted_of, campaign_metrics, check, compare, load_baseline
+from hyperval.baseline import Accepted, accept, accepted_numbers, campaign_metrics, check, compare, load_baseline
 from hyperval.errors import UsageError
 from hyperval.metrics import Tolerance, default_tolerance
 from hyperval.model import clopper_pearson
@@ -42,7 +42,7 @@ def measured(value: float, half: float = math.nan, key: str = KEY, **more) -> di
 
 
 def number(value: float, key: str = KEY, half: float = math.nan, **more) -> Accepted:
-    return accepted_of(measured(value, half, key, **more), {})[key]
+    return accepted_numbers(measured(value, half, key, **more), {})[key]
 
 
 @pytest.mark.parametrize(("old", "new", "message"), data_of("baseline_mistakes"))
@@ -75,7 +75,7 @@ def test_rounding_alone_never_trips_a_check(value, sign):
     # The tightest tolerance there is: 0, of the unit.
     key = "bands | all | sensor | band_count"
     now = measured(sign * value, key=key)
-    accepted = accepted_of(now, {})
+    accepted = accepted_numbers(now, {})
     assert accepted[key].tolerance == 0.0
     assert [row.reason for row in compare("it", accepted, now)] == [""]
 
@@ -150,11 +150,11 @@ def test_what_fails_and_the_limit_that_was_crossed(accepted, now, words):
 
 def test_tolerances_are_kept_and_lost_intervals_fall_back():
     tight = Accepted(accepted=0.5, tolerance=0.0001, of="unit")
-    assert accepted_of(measured(0.6), {KEY: tight})[KEY].tolerance == 0.0001
+    assert accepted_numbers(measured(0.6), {KEY: tight})[KEY].tolerance == 0.0001
     key = "scores | x | cem | score_mean_difference"
     before = {key: number(0.5, key, 0.2)}
     assert before[key].of == "interval"
-    assert accepted_of(measured(0.5, key=key), before)[key].of == "value"
+    assert accepted_numbers(measured(0.5, key=key), before)[key].of == "value"
 
 
 # hyperval check and hyperval baseline accept, from end to end on the small campaign and a sensor.
@@ -262,10 +262,10 @@ def test_no_baseline_then_accepted_then_moved(small, finished, place, capsys, mo
 def test_a_check_runs_the_campaign_itself_and_keeps_the_run(small, place):
     path = small.write()
     accept([path], reason="First", baselines=place / "b")
-    assert baseline.rows_of(check([path], baselines=place / "b", output=place / "out")).exit_code() == 0
-    assert baseline.rows_of(check([path], baselines=place / "b", source=place / "out")).exit_code() == 0  # out/runs
+    assert baseline.joined_rows(check([path], baselines=place / "b", output=place / "out")).exit_code() == 0
+    assert baseline.joined_rows(check([path], baselines=place / "b", source=place / "out")).exit_code() == 0  # out/runs
     small.scenario["atmosphere"] = {**small.scenario["atmosphere"], "aot550": 0.21}
-    wrong = baseline.rows_of(check([small.write()], baselines=place / "b")).where(outcome=Outcome.DISAGREES)
+    wrong = baseline.joined_rows(check([small.write()], baselines=place / "b")).where(outcome=Outcome.DISAGREES)
     assert "radiance" in {row.product for row in wrong}
     assert all("moved from" in row.reason or "verdict" in row.reason for row in wrong)
 
@@ -327,7 +327,7 @@ def test_a_sensor_of_ones_own(place, tmp_path, own_atmosphere, monkeypatch):
     (done,) = check([], [file], baselines=folder, output=tmp_path / "out")
     assert done.rows.exit_code() == 0
     assert re.search("(?s)Accepted numbers: 1 run<.*<h2>Sensors<", (tmp_path / "out/report.html").read_text())
-    told = shlex.split(done.acceptance(folder))  # the command that is printed names the file
+    told = shlex.split(done.accept_command(folder))  # the command that is printed names the file
     assert told[told.index("--sensors") + 1] == file
     data["measured_noise"]["table"][0][1] *= 1.01
     write_yaml(tmp_path / "mine.yaml", data)

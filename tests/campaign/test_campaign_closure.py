@@ -14,7 +14,7 @@ import pytest
 import hyperval
 import small_campaign
 from hyperval import api, cli
-from hyperval.campaign import expected_maps, job_of, run_campaign, scene_content
+from hyperval.campaign import expected_maps, load_job, run_campaign, scene_content
 from hyperval.figures import draw_pictures
 from hyperval.results import Outcome
 from hyperval.run import Run
@@ -29,7 +29,7 @@ TWIN = Path(__file__).parents[2] / "campaigns" / "share2012-twin"
 
 def test_closure_makes_its_filters_of_the_classes_that_the_model_is_told_of():
     # 112 pixels on the rims of the panels made the mean score of cem-correlation 0.00078 in place of 0.00058.
-    detection, scenario = job_of(TWIN / "campaign.yaml").campaign.detection, load_scenario(TWIN / "scenario.yaml")
+    detection, scenario = load_job(TWIN / "campaign.yaml").campaign.detection, load_scenario(TWIN / "scenario.yaml")
     told = {each.name for each in scenario.scene.classes}
     assert set(detection.background) == set(detection.false_alarms) == told
 
@@ -60,7 +60,7 @@ def test_noise_of_a_right_model_in_a_file_of_coarse_steps(tmp_path, own_atmosphe
 def test_expected_maps_of_a_closure_campaign(small):
     small.data["comparisons"] = small.data["comparisons"][:1]
     path, seen = small.write(), []
-    job = job_of(path)
+    job = load_job(path)
     run = run_campaign(job, with_observed=seen.append)
     (score_map,) = run.score_maps.values()
     place, detection = seen[0].place, job.campaign.detection

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from hyperval import cli
-from hyperval.campaign import WRONG, dry_run, job_of, jobs_of, overview, read_jobs, summary
+from hyperval.campaign import WRONG, dry_run, load_job, load_jobs, overview, read_jobs, summary
 from hyperval.errors import UsageError
 from hyperval.imagery import write_cube
 from hyperval.results import Outcome, Result, ResultTable, Role
@@ -85,7 +85,7 @@ def test_everything_that_is_lacking_is_listed_and_once_where_runs_share_it(place
     complete(tmp_path)
     (tmp_path / "data/share2012/lines/0920-1638_rad.dat").unlink()
     (tmp_path / "data/share2012/lines/0920-1631_rad.hdr").unlink()
-    assert [(i.campaign, i.what) for i in overview(dry_run([places])) if i.lacking] == [
+    assert [(i.campaign, i.what) for i in overview(dry_run([places])) if i.is_blocking] == [
         ("line-0920-1631", "data:share2012/lines/0920-1631_rad.dat.hdr"),
         ("line-0920-1638", "data:share2012/lines/0920-1638_rad.dat"),
     ]
@@ -103,7 +103,7 @@ def test_what_is_complete_is_ready_and_nothing_is_written(places, tmp_path, caps
     assert sorted(p.name for p in tmp_path.rglob("*")) == before
     assert read_jobs(path)[1].words == {"line": "0920-1638"}
     with pytest.raises(UsageError, match="holds 2 runs"):
-        job_of(path)
+        load_job(path)
 
 
 def test_what_a_finished_run_left_inconclusive_is_told(small, tmp_path, capsys):
@@ -132,7 +132,7 @@ def test_mistakes_in_what_is_read_are_named(places, tmp_path, name, old, new, wo
     assert old in file.read_text()
     file.write_text(file.read_text().replace(old, new))
     with pytest.raises(UsageError, match=words):
-        (jobs_of if "two campaigns" in words else lambda p: dry_run([p]))(path)
+        (load_jobs if "two campaigns" in words else lambda p: dry_run([p]))(path)
 
 
 @pytest.mark.parametrize("runs", [[], "a", [{}], ["a"], [{"line": str(i)} for i in range(101)]])
@@ -158,7 +158,7 @@ def test_a_collection_of_others_waits_until_a_file_of_it_is_there(places, tmp_pa
     # A public or local collection never waits.
     places.write_text(places.read_text().replace("data:share2012/lines/{line}_rad.dat", "cube.dat"))
     with pytest.raises(UsageError, match="2 values are still to be filled in"):
-        jobs_of(places)
+        load_jobs(places)
 
 
 @pytest.mark.parametrize("held", [True, False])
@@ -170,7 +170,7 @@ def test_a_mistyped_name_is_a_mistake_and_not_a_missing_set(small, tmp_path, no_
     small.scenario["scene"]["panels"][0]["spectrum"] = {"file": "data:hysu/published/svc/DLR_HySU_SCV.lib"}
     path = small.write()
     with pytest.raises(UsageError, match="no such file in any registered data set") as caught:
-        jobs_of(path)
+        load_jobs(path)
     assert caught.value.exit_code == 2
     assert "data:hysu/published/svc/DLR_HySU_SVC.lib" in caught.value.expected
     assert "campaign.yaml: scenarios.scene.panels.spectrum.file" in caught.value.where

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from hyperval import api, cli
-from hyperval.campaign import job_of, read_jobs
+from hyperval.campaign import load_job, read_jobs
 from hyperval.errors import UsageError
 from small_campaign import DATA, SmallCampaign, data_of
 
@@ -37,7 +37,7 @@ def test_each_mistake_is_named_with_its_line_and_nothing_else(tmp_path, old, new
     assert replaced in GOOD
     path.write_text(GOOD.replace(replaced, new))
     with pytest.raises(UsageError, match=message) as caught:
-        job_of(path)
+        load_job(path)
     assert f"campaign.yaml:{line}:" in str(caught.value)
     assert caught.value.exit_code == 2
     # Of a scenario alone: neither of a day that it is not, nor keys that a scenario has as unknown.

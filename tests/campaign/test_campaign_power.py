@@ -30,10 +30,10 @@ def on_radiance_alone(small, **limit: float) -> Path:
 
 
 ERRORS = {
-    BRIGHT: campaign.Injected(gates=("radiance | grass | sixs | bias_ratio",), informing={"snr": 1}),
-    "PSF width x 1.5": campaign.Injected(informing={"roc": 2}),
-    QUIET: campaign.Injected(),
-    TAILS: campaign.Injected(not_applicable="no class has tails"),
+    BRIGHT: campaign.InjectedError(gates=("radiance | grass | sixs | bias_ratio",), informing={"snr": 1}),
+    "PSF width x 1.5": campaign.InjectedError(informing={"roc": 2}),
+    QUIET: campaign.InjectedError(),
+    TAILS: campaign.InjectedError(not_applicable="no class has tails"),
 }
 
 
@@ -50,16 +50,16 @@ def row(outcome, subject="grass", role=Role.GATE, **more) -> Result:
 def test_only_what_turns_counts_and_a_gate_that_nothing_fails_sees_nothing(make_small, monkeypatch):
     """A limit that nearly nothing breaks, or one that is broken already, makes the same error unseen."""
     monkeypatch.setattr("hyperval.campaign.power.WORLDS", 1)  # how often causes are named is not looked at
-    (job,) = campaign.jobs_of(on_radiance_alone(make_small("sound"), at_most=0.02))
+    (job,) = campaign.load_jobs(on_radiance_alone(make_small("sound"), at_most=0.02))
     found = campaign.power_table(job, errors=some_errors(BRIGHT, QUIET, TAILS))
-    sights = [campaign.Sight.GATES, campaign.Sight.INFORMING, campaign.Sight.NOT_APPLICABLE]
-    assert [p.sight for p in found.errors.values()] == sights
+    sights = [campaign.DetectedBy.GATES, campaign.DetectedBy.INFORMING, campaign.DetectedBy.NOT_APPLICABLE]
+    assert [p.detected_by for p in found.errors.values()] == sights
     assert [name.split(" | ")[1] for name in found.errors[BRIGHT].gates] == SUBJECTS
     assert (found.gates, found.disagreeing, found.campaign) == (2, 0, "small")
     assert set(found.files) == {"campaign.yaml", "sensor.yaml"}
-    (job,) = campaign.jobs_of(on_radiance_alone(make_small("loose"), at_most=0.9))
+    (job,) = campaign.load_jobs(on_radiance_alone(make_small("loose"), at_most=0.9))
     assert not campaign.power_table(job, errors=some_errors(BRIGHT)).errors[BRIGHT].gates
-    (job,) = campaign.jobs_of(on_radiance_alone(make_small("broken"), within=[0.5, 0.6]))
+    (job,) = campaign.load_jobs(on_radiance_alone(make_small("broken"), within=[0.5, 0.6]))
     broken = campaign.power_table(job, errors=some_errors(BRIGHT))
     # One is not met without the error, and does not count with it; the other was inconclusive.
     assert (broken.gates, broken.disagreeing) == (1, 1)
@@ -92,9 +92,9 @@ def test_a_table_is_stored_and_read_back_and_says_what_is_younger(tmp_path):
     # The code may have changed and no file of the campaign: what the gates gave then stands in the table.
     then = table(stated=campaign.gate_values([row(Outcome.AGREES), row(Outcome.AGREES, "roof")]))
     now = [row(Outcome.AGREES), row(Outcome.AGREES, "roof"), row(Outcome.AGREES, "lawn", Role.INFORM)]
-    assert then.moved_gates(now) == []
-    assert then.moved_gates([now[0], replace(now[1], value=0.2)]) == ["radiance | roof | sixs | bias_ratio"]
-    assert then.moved_gates([*now, row(Outcome.AGREES, "pond | a")]) == ["radiance | pond | a | sixs | bias_ratio"]
+    assert then.changed_gates(now) == []
+    assert then.changed_gates([now[0], replace(now[1], value=0.2)]) == ["radiance | roof | sixs | bias_ratio"]
+    assert then.changed_gates([*now, row(Outcome.AGREES, "pond | a")]) == ["radiance | pond | a | sixs | bias_ratio"]
 
 
 @pytest.mark.slow
@@ -111,7 +111,7 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     assert lines[1].startswith("small,sunlight x 1.05,criteria,2,")
     informing, without = "informational comparisons,0,1,", "not applicable,0,0,no class has tails"
     assert lines[2:] == [f"small,noise x 1.5,{informing}", f"small,tails left out,{without}"]
-    run = campaign.run_campaign(campaign.jobs_of(path)[0])
+    run = campaign.run_campaign(campaign.load_jobs(path)[0])
     assert run.power is not None
     page = report_page(run, [])
     assert "Informational comparisons alone detect: noise x 1.5." in page[: page.index("<nav")]
@@ -119,11 +119,11 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     assert "Which errors this campaign would detect is not known" in report_page(replace(run, power=None), [])
     known, inputs = campaign.accepted_table("small", tmp_path), run.provenance["inputs"]
     changed = [{**i, "sha256": "0"} if i["reference"] == "campaign.yaml" else i for i in inputs]
-    younger = report_page(replace(run, power=(known, known.stale(changed, run.table))), [])
+    younger = report_page(replace(run, power=(known, known.outdated(changed, run.table))), [])
     assert "The table is older than campaign.yaml" in younger[: younger.index("<nav")]
     old = known.model_copy(update={"stated": dict.fromkeys(known.stated, 0.5)})
-    assert old.stale(inputs, run.table).startswith("The table is outdated: 2 of its criteria had different values")
-    errors = {BRIGHT: campaign.Injected(), "another": campaign.Injected(), TAILS: known.errors[TAILS]}
+    assert old.outdated(inputs, run.table).startswith("The table is outdated: 2 of its criteria had different values")
+    errors = {BRIGHT: campaign.InjectedError(), "another": campaign.InjectedError(), TAILS: known.errors[TAILS]}
     campaign.write_power_table(tmp_path / "validation/power/small.yaml", known.model_copy(update={"errors": errors}))
     capsys.readouterr()
     assert cli.run(["power", str(path)]) == 1
@@ -133,7 +133,7 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     assert "another: not in the table, accepted: undetected" in said
 
     def since() -> str:
-        rows = campaign.run_campaign(campaign.jobs_of(small.write())[0]).table
+        rows = campaign.run_campaign(campaign.load_jobs(small.write())[0]).table
         return next(iter(rows.where(subject="since the accepted run", metric="reduced_chi_square"))).reason
 
     small.scenario["uncertainty"] = {"sensor_gain": {"relative": 0.05}}

@@ -15,7 +15,7 @@ from rasterio.warp import transform as warp
 
 from hyperval import cli
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.campaign import DayScenarios, dry_run, scenarios_of
+from hyperval.campaign import DayScenarios, dry_run, load_scenarios
 from hyperval.datasets import resolve
 from hyperval.imagery import write_cube
 from hyperval.model import Origins, predict
@@ -76,7 +76,7 @@ def overpasses(tmp_path, monkeypatch):
         day_file(data / "radcalnet-portal", run, day)
         source = DayScenarios(scenario="scenario.yaml", radcalnet=f"data:radcalnet-portal/{run}.input")
         words = {"overpass": f"{run}T18:40:00Z"}
-        ((scenario, *_),) = scenarios_of(source, partial(resolve, base=campaign.parent), campaign.parent, words)
+        ((scenario, *_),) = load_scenarios(source, partial(resolve, base=campaign.parent), campaign.parent, words)
         truth = predict(scenario, Origins(axis=load_sensor(SENSOR).axis)).radiance["site"].mean
         pixels = np.nan_to_num(truth) * (1.0 + 0.02 * 0.5 * number + 0.002 * rng.standard_normal((24, 24, 1)))
         path, place = data / "radcalnet-sensor" / f"{run}.img", {"transform": TRANSFORM, "crs": CRS.from_epsg(32612)}

@@ -156,7 +156,7 @@ def test_only_what_would_come_out_the_same_is_taken_over(two, quick, tmp_path, m
     for name, again in found:  # a header and a grid are looked for, the others are not
         cube.with_name(name).touch()
         assert ran() == again
-    monkeypatch.setattr(f"{RUN}._program", lambda: "another")
+    monkeypatch.setattr(f"{RUN}._program_digest", lambda: "another")
     assert ran() == ["other", "small"]
     path.write_bytes(path.read_bytes().replace(b"title: ", b"title: nowhere ", 1))
     assert ran() == ["small"]

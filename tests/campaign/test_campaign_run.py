@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hyperval import api, cli
-from hyperval.campaign import Collected, command_without_output
+from hyperval.campaign import ObservedCampaign, command_without_output
 from hyperval.errors import InputError
 from hyperval.products import ScoreDistribution
 from hyperval.results import COLUMNS, Cause, Outcome
@@ -202,4 +202,4 @@ def test_of_the_pixels_of_a_class_those_are_shared_that_false_alarms_are_counted
     place = of(pixels_of=lambda name: np.array(regions[name], bool))
     scenario = of(scene=of(classes=[of(spectrum=of(measured=name)) for name in ("lawn", None)]))
     side = of(scenarios=[scenario], observed=of(place=place), campaign=of(detection=of(false_alarms=["field"])))
-    assert Collected.with_shared_count(side, ScoreDistribution(0.0, 1.0, 3)).shared == 2
+    assert ObservedCampaign.with_shared_count(side, ScoreDistribution(0.0, 1.0, 3)).shared == 2

@@ -16,7 +16,7 @@ from scanned_line import UTM18, ScannedLine, write_table
 
 from felt_stand_in import LINES, MARK, Departures, stand_in
 from hyperval import cli
-from hyperval.campaign import dry_run, jobs_of, overview, run_campaign
+from hyperval.campaign import dry_run, load_jobs, overview, run_campaign
 from hyperval.imagery import open_cube
 from hyperval.model import Z95
 from hyperval.results import Cause, Outcome, Role
@@ -60,7 +60,7 @@ def test_stand_in_lines_close(name, tmp_path, data_dir, monkeypatch):
         for path in folder.glob("*.yaml"):
             text = re.sub(r"(?ms)^attribution:.*\Z", "", path.read_text())
             path.write_text(text.replace("cem, ace]", "cem]").replace("  psf_fwhm_pixels: 0.3\n", ""))
-        (job,) = jobs_of(folder / "campaign.yaml")
+        (job,) = load_jobs(folder / "campaign.yaml")
         table = run_campaign(job).table
     rows = {(r.subject, r.method, r.metric): r for r in table}
     for felt, (objects, sizes, pixels) in LINES[name]["holds"].items():
@@ -243,8 +243,8 @@ def test_filled_in_it_runs_through(line, tmp_path, monkeypatch):
     monkeypatch.setattr("hyperval.compare.covariance.sampled", lambda *words: None)
     path = filled_in(tmp_path / "campaign")
     assert "FILL_IN" not in "".join(str(yaml.safe_load(p.read_text())) for p in path.parent.glob("*.yaml"))
-    assert [i for i in dry_run([path]) if i.lacking] == []
-    (job,) = jobs_of(path)
+    assert [i for i in dry_run([path]) if i.is_blocking] == []
+    (job,) = load_jobs(path)
     run = run_campaign(job)
     rows = list(run.table)
     compared = [r for r in rows if r.product == "radiance" and "median_abs" in r.metric]
@@ -283,7 +283,7 @@ def test_the_polished_reflectance_whole_and_divided(line, tmp_path, monkeypatch)
     rows = {}
     for name in ("campaign-reflectance.yaml", "campaign-divided.yaml"):
         path = folder / name
-        for job in jobs_of(path):
+        for job in load_jobs(path):
             table = run_campaign(job).table
             part = job.campaign.name.removeprefix(f"share2012-avon-{RUN}-")
             rows |= {(part, r.subject, r.method, r.metric): r for r in table}

@@ -14,7 +14,7 @@ from rasterio.crs import CRS
 from spectral.io.envi import SpectralLibrary
 
 from hyperval import cli
-from hyperval.campaign import WRONG, dry_run, job_of, summary
+from hyperval.campaign import WRONG, dry_run, load_job, summary
 from hyperval.config import FILL_IN, SCHEMA_LINE
 from hyperval.imagery import write_cube
 from hyperval.sensor import load_sensor
@@ -49,7 +49,7 @@ def test_a_radiance_collection_becomes_a_campaign_that_a_dry_run_calls_ready(sma
     assert cli.run([*sources, "--quantity", "counts", "-o", str(small.folder / "raw")]) == 0
     files = [folder / "campaign.yaml", small.folder / "raw" / "campaign.yaml"]
     assert summary(dry_run(files)) == ["new-one: ready", "raw: ready"]
-    campaign, raw = (job_of(file).campaign for file in files)
+    campaign, raw = (load_job(file).campaign for file in files)
     assert campaign.detection.targets[0].material == "yellow-paint-plank"
     scene = campaign.scenarios[0].scene
     assert [(c.name, c.spectrum.measured) for c in scene.classes] == [("field", None), ("court", "court")]
@@ -130,7 +130,7 @@ def delivery(tmp_path):
 def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(delivery, tmp_path):
     assert cli.run([*delivery, str(tmp_path / "field.csv")]) == 0
     assert summary(dry_run([tmp_path / "new" / "campaign.yaml"])) == ["new: ready"]
-    campaign = job_of(tmp_path / "new" / "campaign.yaml").campaign
+    campaign = load_job(tmp_path / "new" / "campaign.yaml").campaign
     cube, line, scene = campaign.collection.cube, campaign.collection.empirical_line, campaign.scenarios[0].scene
     assert (cube.quantity, cube.unit, cube.scale) == ("radiance", "microW/cm^2/nm/sr", 0.001)
     # Panels by their flat spectra, as no name says it; four pixels of black tell no SNR.
@@ -150,7 +150,7 @@ def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(deliver
     classes = ["init", "--cube", str(tmp_path / "map.img"), "-o", str(tmp_path / "none")]  # which are no image
     assert [cli.run(each) for each in ([*asked, *classes[1:3]], asked, classes)] == [2, 0, 2]
     assert summary(dry_run([tmp_path / "many" / "campaign.yaml"])) == ["many: ready"]
-    many = job_of(tmp_path / "many" / "campaign.yaml").campaign
+    many = load_job(tmp_path / "many" / "campaign.yaml").campaign
     sought = [*many.detection.targets, *many.collection.empirical_line.panels]
     files = [Path(file).name for one in sought for file in one.spectrum.replicates.files]
     assert files == [f"{name}{i}.txt" for name in ("Felt.0000", "black0", "whiteref0") for i in (1, 2)]
@@ -158,7 +158,7 @@ def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(deliver
 
     (felts := tmp_path / "felts.csv").write_text(felts.read_text("utf-16").replace(",0.5\n", ",1\n"))  # of one size
     assert cli.run([*delivery, str(tmp_path / "field.csv"), "-o", str(tmp_path / "one")]) == 0
-    scene = job_of(tmp_path / "one" / "campaign.yaml").campaign.scenarios[0].scene
+    scene = load_job(tmp_path / "one" / "campaign.yaml").campaign.scenarios[0].scene
     assert scene.targets[0].fill.geometry.side_m == 1.0
 
 
@@ -167,7 +167,7 @@ def test_without_two_panels_there_is_no_detection_in_radiance(delivery, tmp_path
     np.savetxt(tmp_path / "few.csv", table, delimiter=",", header="wavelength_nm,lawn,court,felt", comments="")
     assert cli.run([*delivery, str(tmp_path / "few.csv")]) == 0
     path = tmp_path / "new" / "campaign.yaml"
-    assert any("no detection: in radiance it needs an empirical line" in a for a in job_of(path).campaign.assumptions)
+    assert any("no detection: in radiance it needs an empirical line" in a for a in load_job(path).campaign.assumptions)
     assert summary(dry_run([path])) == ["new: ready"]
     # Written by hand all the same, the dry run says so before the collection is read; and that spectra end too early.
     content = yaml.safe_load(path.read_text())
@@ -185,7 +185,7 @@ def test_a_cube_alone_becomes_a_draft_without_a_prediction(small, capsys, tmp_pa
     cube.write_text(re.sub(r"(?m)^data units.*\n", "", (small.collection / cube.name).read_text()))
     draft, folder = small.folder / "draft", small.folder / "alone"
     assert cli.run(["init", "--cube", str(cube), "-o", str(draft)]) == 0
-    (asked,) = (i for i in dry_run([draft / "campaign.yaml"]) if i.lacking)
+    (asked,) = (i for i in dry_run([draft / "campaign.yaml"]) if i.is_blocking)
     assert (asked.state, re.search("--[a-z]+", asked.detail)[0]) == ("to fill in", "--unit")
     assert "then also needed: --spectra, --time, --altitude-km, --sensor" in capsys.readouterr().err  # all at once
     told = ["init", "--cube", str(cube), "-o", str(folder), "--unit"]

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from hyperval import baseline
-from hyperval.campaign import job_of, run_campaign
+from hyperval.campaign import load_job, run_campaign
 from hyperval.model import FILTERS, LinearFilter, fixed_fill, matched_filter_weights
 from hyperval.results import Outcome, Result
 from hyperval.sensor import library_names, load_sensor
@@ -31,7 +31,7 @@ def campaign_numbers(small: SmallCampaign) -> dict[str, Result]:
         mean = subject["fill"].get("fixed", subject["fill"].get("mean"))
         subject["fill"] = {"mean": mean, "sd": 0.02}
     path = small.write()
-    return baseline.campaign_metrics(run_campaign(job_of(path)).table)
+    return baseline.campaign_metrics(run_campaign(load_job(path)).table)
 
 
 def sensor_numbers() -> dict[str, Result]:
@@ -40,7 +40,7 @@ def sensor_numbers() -> dict[str, Result]:
 
 @pytest.fixture(scope="module")
 def sound_sensor() -> dict[str, baseline.Accepted]:
-    return baseline.accepted_of(sensor_numbers(), {})
+    return baseline.accepted_numbers(sensor_numbers(), {})
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def sound_campaign(small_collection, tmp_path_factory) -> dict[str, baseline.Acc
     shutil.copytree(small_collection, folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("hyperval.model.stated.atmospheric_terms", stand_in_atmosphere)
-        return baseline.accepted_of(campaign_numbers(SmallCampaign(folder)), {})
+        return baseline.accepted_numbers(campaign_numbers(SmallCampaign(folder)), {})
 
 
 def wrong(accepted: Mapping[str, baseline.Accepted], now: Mapping[str, Result]) -> list[Result]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from hyperval.attribute import injected_errors
-from hyperval.campaign import accepted_table, job_of
+from hyperval.campaign import accepted_table, load_job
 from hyperval.config import load_yaml
 from hyperval.datasets import owner_of
 from hyperval.metrics import plain_words
@@ -52,7 +52,7 @@ def test_first_screens_name_no_metric_by_its_identifier(path):
 )
 def test_what_was_set_after_the_data_were_seen_says_so_and_what_it_was_before(campaign, metric):
     """As the history of the files and the changelog have it."""
-    gates = job_of(ROOT / "campaigns" / campaign / "campaign.yaml").campaign.comparisons
+    gates = load_job(ROOT / "campaigns" / campaign / "campaign.yaml").campaign.comparisons
     marked = [gate for gate in gates if gate.metric == metric]
     assert marked
     assert all(gate.chosen_after and gate.before for gate in marked)

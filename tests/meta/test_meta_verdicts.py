@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from hyperval import cli
-from hyperval.campaign import job_of, run_campaign
+from hyperval.campaign import load_job, run_campaign
 from hyperval.results import Cause, Outcome, ResultTable
 from hyperval.simulate import field_axis
 from hyperval.statistics_library import builtin_class
@@ -20,7 +20,7 @@ CLASSES = ["field", "court"]
 
 def table_of(small: SmallCampaign) -> ResultTable:
     path = small.write()
-    return run_campaign(job_of(path)).table
+    return run_campaign(load_job(path)).table
 
 
 def failing(table: ResultTable) -> set[tuple[str, str]]:

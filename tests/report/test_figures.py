@@ -25,7 +25,7 @@ LONG = "field spectrum of a target with a long name"
 
 def stated(figure: figures.Figure) -> list[dict[str, Any]]:
     """The views of a figure as the page's script reads them: each mark with its columns as arrays."""
-    whole = json.loads(figures.statement(figure))
+    whole = json.loads(figures.figure_json(figure))
     arrays = [np.frombuffer(base64.b64decode(text), "<f4") for text in whole["columns"]]
     for view in whole["views"]:
         for mark in (mark for part in view["parts"] for mark in part["marks"]):
@@ -119,8 +119,8 @@ def words_of(drawing) -> list[str]:
 def test_each_figure_is_the_same_again_and_told_in_words(sides, charts, drawings):
     """Whatever was drawn before, in a page and on paper; nothing is left to those who see alone."""
     again = every_figure(sides)
-    assert {name: figures.statement(figure) for name, figure in charts.items()} == {
-        n: figures.statement(f) for n, f in again.items()
+    assert {name: figures.figure_json(figure) for name, figure in charts.items()} == {
+        n: figures.figure_json(f) for n, f in again.items()
     }
     (drawn,) = figures.drawings_of([again["attribution-effects"]], simulated=True)
     assert drawings[drawn.name].content == drawn.content
@@ -175,7 +175,7 @@ def test_spectra_hold_both_sides_and_their_difference(run):
         np.testing.assert_allclose(mark["columns"]["half"], norm.isf(0.025) * own_u, rtol=1e-5)
     assert [mark["dash"] for mark in above["marks"]] == ["solid", "dashed"]
     # Wavelengths of all subjects stand once, and a half-width in place of two limits: room for pictures.
-    assert len(json.loads(figures.statement(figure))["columns"]) == 1 + 2 * 3 * 2
+    assert len(json.loads(figures.figure_json(figure))["columns"]) == 1 + 2 * 3 * 2
 
 
 def test_sides_without_a_difference_have_none_drawn(run):
@@ -211,15 +211,15 @@ def test_a_side_alone(run):
     assert figures.spectra_figure((told, side), "reflectance").views[0].words.startswith("median absolute difference 0")
     figure = figures.spectra_figure((None, side), "reflectance")
     assert [figure.views[0].x.label, figure.views[0].parts[0].y.label] == ["number of the band", "counts"]
-    assert "absorption" not in figure.caption + figures.statement(figure)
+    assert "absorption" not in figure.caption + figures.figure_json(figure)
     known = figures.spectra_figure((None, run.pair[1]), "reflectance")
-    assert [685.0, 693.0] in json.loads(figures.statement(known))["absorption"]
+    assert [685.0, 693.0] in json.loads(figures.figure_json(known))["absorption"]
     part = figures.Part(figures.Axis("y"), (figures.Mark("line", {"x": [1.0], "y": [5.0]}),))
-    low, high = figures.Panels(figures.Axis("x"), (part,)).ends("y", part)
+    low, high = figures.Panels(figures.Axis("x"), (part,)).limits("y", part)
     assert low < 5.0 < high, "a single value has an axis"
     line = figures.Mark("line", {"x": [1, 2], "y": [2.0, 3.0]})
     part = figures.Part(figures.Axis("y"), (line,), (("y", 1.5), ("y", 0.1)))
-    assert 1.3 < figures.Panels(figures.Axis("x"), (part,)).ends("y", part)[0] < 1.5, "of rules that which lies near"
+    assert 1.3 < figures.Panels(figures.Axis("x"), (part,)).limits("y", part)[0] < 1.5, "of rules that which lies near"
 
 
 def test_curves_have_a_tab_a_detector_and_of_long_or_many_what_matters_is_drawn(run, charts):
@@ -248,7 +248,7 @@ def test_statements_hold_the_numbers_and_a_view_each(charts):
     np.testing.assert_allclose(predicted["y"] / measured["y"], ratio["y"], rtol=1e-6)
     assert np.all((ratio["low"] < 1.0) & (ratio["high"] > 1.0))
     (view,) = charts["class-error"].views
-    assert view.ends("x", view.parts[0])[0] > 0.0
+    assert view.limits("x", view.parts[0])[0] > 0.0
     assert [place for _, place in charts["roc-difference"].views[0].parts[0].rules] == [0.0, -0.1, 0.1]
     many = dataclasses.replace(charts["unmixing-areas"], views=charts["unmixing-areas"].views * 24)
     sheets = figures.drawings_of([many], simulated=False)
@@ -313,7 +313,7 @@ def test_panels_and_their_labels_do_not_overlap(charts, name):
     with figures.house_style():
         if name == "densities":  # one panel, with a label as long as a study may have
             object.__setattr__(charts[name].views[0].parts[0].y, "label", f"{LONG}, {LONG}")
-        canvas = figures.canvas_of(charts[name], charts[name].views, simulated=True)
+        canvas = figures.draw_views(charts[name], charts[name].views, simulated=True)
         canvas.canvas.draw()
         renderer = canvas.canvas.get_renderer()
         boxes = [axes.get_tightbbox(renderer) for axes in canvas.axes]

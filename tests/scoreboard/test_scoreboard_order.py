@@ -6,7 +6,7 @@ from scipy import sparse
 
 from hyperval.model import AREAS
 from hyperval.pixels import AlarmBlocks, alarms_at_detection, counts_of, empirical_roc, roc_area
-from hyperval.scoreboard import LOG_AREA, MEASURES, BlockCounts, counts_by_block, measured, rank_sets, ranked
+from hyperval.scoreboard import LOG_AREA, MEASURES, BlockCounts, counts_by_block, draw_metric, rank_detectors, rank_sets
 
 # Ranks with their confidence sets: closed forms, limits, and coverage by Monte Carlo.
 
@@ -40,7 +40,7 @@ def test_two_detectors_by_the_normal_law():
 
 def test_pairing_tells_apart_what_separate_intervals_do_not():
     counts = counts_of_detectors([1.0, 1.2], 200, np.random.default_rng(5))
-    found = ranked(counts, list(range(200)), MEASURES["auc"], draws=400, rng=np.random.default_rng(0))
+    found = rank_detectors(counts, list(range(200)), MEASURES["auc"], draws=400, rng=np.random.default_rng(0))
     assert found.lower[1] < found.upper[0]  # the intervals overlap
     assert found.rank.tolist() == [2, 1]
     assert found.rank_lower[0] == 2
@@ -49,7 +49,7 @@ def test_pairing_tells_apart_what_separate_intervals_do_not():
 
 def test_few_objects_order_nothing():
     counts = counts_of_detectors([0.0, 4.0], 5, np.random.default_rng(2))
-    found = ranked(counts, list(range(5)), MEASURES["auc"], draws=200, rng=np.random.default_rng(0))
+    found = rank_detectors(counts, list(range(5)), MEASURES["auc"], draws=200, rng=np.random.default_rng(0))
     assert not found.orders
     assert found.rank.tolist() == [2, 1]
     assert found.rank_lower.tolist() == [1, 1]
@@ -60,7 +60,7 @@ def test_detectors_that_order_alike_share_their_rank():
     one = counts_of_detectors([1.0, 1.0], 30, np.random.default_rng(4))
     over, tie = (np.concatenate([x, x[:, :1]], axis=1) for x in (one.over, one.tie))
     counts = BlockCounts(("a", "b", "a again"), over, tie, one.pixels, one.item, {})
-    found = ranked(counts, list(range(30)), MEASURES["auc"], draws=200, rng=np.random.default_rng(0))
+    found = rank_detectors(counts, list(range(30)), MEASURES["auc"], draws=200, rng=np.random.default_rng(0))
     assert found.distinct == 2
     assert found.rank[0] == found.rank[2]
     assert found.first[0] == found.first[2]
@@ -69,7 +69,7 @@ def test_detectors_that_order_alike_share_their_rank():
 
 def test_false_alarms_keep_an_upper_limit_where_there_are_none():
     counts = counts_of_detectors([20.0, 20.0], 20, np.random.default_rng(4))
-    found = ranked(counts, list(range(20)), MEASURES["far@pd0.5"], draws=100, rng=np.random.default_rng(0))
+    found = rank_detectors(counts, list(range(20)), MEASURES["far@pd0.5"], draws=100, rng=np.random.default_rng(0))
     assert found.value.tolist() == [0.0, 0.0]
     assert np.all(found.upper >= 1.0 - 0.05 ** (1.0 / 2000.0))
 
@@ -83,7 +83,7 @@ def test_true_ranks_lie_in_their_sets_95_times_in_100():
     wrong = 0
     for trial in range(400):
         counts = counts_of_detectors([1.0, 1.0, 1.0], 40, np.random.default_rng(100 + trial), pixels=1000)
-        found = ranked(counts, list(range(40)), MEASURES["auc"], draws=150, rng=np.random.default_rng(trial))
+        found = rank_detectors(counts, list(range(40)), MEASURES["auc"], draws=150, rng=np.random.default_rng(trial))
         wrong += int(found.rank_lower[0] > 1 or found.rank_upper[0] < 3)
     assert wrong <= 35
 
@@ -93,7 +93,7 @@ def test_the_interval_holds_the_value_and_narrows_with_objects(name):
     widths = []
     for objects in (20, 320):
         counts = counts_of_detectors([1.5, 1.5], objects, np.random.default_rng(9))
-        found = ranked(counts, list(range(objects)), MEASURES[name], draws=200, rng=np.random.default_rng(0))
+        found = rank_detectors(counts, list(range(objects)), MEASURES[name], draws=200, rng=np.random.default_rng(0))
         assert np.all((found.lower <= found.value) & (found.value <= found.upper))
         widths.append(float(found.upper[0] - found.lower[0]))
     assert widths[1] < 0.5 * widths[0]
@@ -129,7 +129,7 @@ def test_drawn_shares_are_those_of_a_background_made_of_the_drawn_blocks(scores)
 def test_metrics_are_those_of_the_roc(scores, name):
     targets, background, block = scores
     shares = one_detector(targets, background, block).shares(np.ones((7, 1)))
-    value = measured(MEASURES[name], *shares, np.ones((targets.size, 1)))[0, 0]
+    value = draw_metric(MEASURES[name], *shares, np.ones((targets.size, 1)))[0, 0]
     counts = counts_of(targets, background)
     expected = {
         "auc": lambda: roc_area(counts),

@@ -13,7 +13,7 @@ from hyperval.errors import UsageError
 from hyperval.model import predict
 from hyperval.results import Outcome
 from hyperval.sensor import ReferenceScene, Sensor, load_sensor
-from hyperval.sensor_check import SensorCheck, check_sensor, movable, scene_radiance, sunlit_radiance
+from hyperval.sensor_check import SensorCheck, check_sensor, movable_numbers, scene_radiance, sunlit_radiance
 from hyperval.spectra import SpectralAxis, band_average
 from small_campaign import stand_in_atmosphere
 
@@ -272,7 +272,7 @@ def test_factors_reach_every_kind_of_number():
         n = other.noise()
         return n.electrons_per_radiance, other.axis.fwhm_nm, n.fixed_noise, n.lsb_electrons, n.calibration_percent
 
-    for name in movable(spec):
+    for name in movable_numbers(spec):
         own = {"bands.fwhm": {0, 1}, "VNIR.fixed_noise_electrons": {2}, "VNIR.full_well_electrons": {3},
                "calibration_error_percent": {4}}.get(name, {0})  # fmt: skip
         both = zip(made({}), made({name: 1.5}), strict=True)

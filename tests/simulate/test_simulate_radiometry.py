@@ -23,7 +23,7 @@ def quiet(**changes):
 
 def measured(noise, level: float, seed: int = 1, n: int = N) -> np.ndarray:
     radiance = np.full((n, noise.electrons_per_radiance.size), level, np.float32)
-    return chain(noise).measured(radiance, np.random.default_rng(seed)).astype(float)
+    return chain(noise).measure(radiance, np.random.default_rng(seed)).astype(float)
 
 
 def assert_same_spread(found: np.ndarray, expected: np.ndarray) -> None:
@@ -99,13 +99,13 @@ def test_full_scale_limits_the_numbers_and_is_counted():
     sensor = quiet(bits=8, lsb_electrons=50.0)
     c = chain(sensor)
     radiance = np.full((5, BANDS), 3.0, np.float32)
-    assert c.measured(radiance, np.random.default_rng(0)).max() == pytest.approx(2.55)
-    assert c.saturated(radiance) == 5 * BANDS
-    assert c.saturated(radiance - 1.0) == 0
+    assert c.measure(radiance, np.random.default_rng(0)).max() == pytest.approx(2.55)
+    assert c.count_saturated(radiance) == 5 * BANDS
+    assert c.count_saturated(radiance - 1.0) == 0
 
 
 def test_stored_integers_round_and_count_what_does_not_fit():
-    values, clipped = chain(noise_model()).stored(np.array([[1.2344, -0.0016, 32.7671, 33.0, -40.0]], np.float32))
+    values, clipped = chain(noise_model()).to_integers(np.array([[1.2344, -0.0016, 32.7671, 33.0, -40.0]], np.float32))
     assert values.tolist() == [[1234, -2, 32767, 32767, -32768]]
     assert values.dtype == np.dtype("<i2")
     assert clipped == 2

@@ -15,7 +15,7 @@ from web_server import REFUSED
 
 from hyperval.cli import app as command
 from hyperval.scenario import Scenario, load_scenario
-from hyperval.web import form_data, form_nodes, needs, plain, predefined, view_name, walk
+from hyperval.web import dump, form_data, form_nodes, needs, predefined, view_name, walk
 from small_campaign import undrawn
 
 EASY = {"name": "yellow-planks-asphalt"}
@@ -56,13 +56,13 @@ def test_form_tells_section_title_unit_limits_and_default():
 
 
 def test_rest_of_a_form_is_folded_and_opened_by_a_mistake(client, server):
-    nodes = {n.path: n for n in walk(form_nodes(plain(load_scenario("yellow-planks-asphalt"))))}
+    nodes = {n.path: n for n in walk(form_nodes(dump(load_scenario("yellow-planks-asphalt"))))}
     assert nodes["scene.classes.0.fraction"].is_shown
     assert nodes["scene.classes.0"].is_open
     assert not nodes["scene.classes.0.gain"].is_shown
     assert not nodes["processing.bands"].is_shown, "though it is given"
     assert not nodes["scene.panels.0"].is_open
-    told = nodes["scene.targets.0.subjects.1"].gist, nodes["processing.detectors"].limits
+    told = nodes["scene.targets.0.subjects.1"].summary, nodes["processing.detectors"].limits
     assert told == ("fill fraction 0.05", ""), "boxes to tick are no list to type"
     fields = dict(sent_of(client.get(f"{server.address}/predict", params={"scenario": EASY["name"]}).text))
     sent = {**fields, "scene.classes.0.gain": "-1", "action": "run"}

@@ -216,7 +216,7 @@ def test_error_that_nobody_foresaw_says_nothing_of_the_server(server, client, mo
     def broken(*args, **options):
         raise RuntimeError(f"at {server.folder}")
 
-    monkeypatch.setattr(server.app.state.runs, "of", broken)
+    monkeypatch.setattr(server.app.state.runs, "visible_to", broken)
     answer = client.get(f"{server.address}/api/v1/runs")
     assert answer.status_code == 500
     assert str(server.folder) not in answer.text

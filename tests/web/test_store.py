@@ -47,8 +47,8 @@ def test_folder_that_cannot_be_read_is_told_of_and_removed(store):
     good, bad, copy = kept(store), kept(store), kept(store)
     (store.place(bad.id) / "run.json").write_text('{"id": ')
     (store.place(copy.id) / "run.json").write_text(good.model_dump_json())
-    before, second = store.of("a"), again(store)
-    assert [r.id for r in before] == [r.id for r in second.of("a")] == [good.id]
+    before, second = store.visible_to("a"), again(store)
+    assert [r.id for r in before] == [r.id for r in second.visible_to("a")] == [good.id]
     assert any("2 folders of runs could not be read" in words for words in second.notices)
 
 
@@ -56,11 +56,11 @@ def test_oldest_go_first_when_there_are_too_many_bytes_or_days(store):
     now = time.time()
     runs = [kept(store, name=f"n{i}", created=now - 1000 + i) for i in range(4)]
     second = again(store, kept_bytes=2900)
-    assert {r.id for r in second.of("a")} == {r.id for r in runs[2:]}
+    assert {r.id for r in second.visible_to("a")} == {r.id for r in runs[2:]}
     assert not store.place(runs[0].id).exists()
     old = kept(second, created=now - 40 * 86400.0)
     third = again(second, kept_days=30.0)
-    assert [r.id for r in third.of("a")] == [runs[3].id, runs[2].id]
+    assert [r.id for r in third.visible_to("a")] == [runs[3].id, runs[2].id]
     assert not store.place(old.id).exists()
 
 

@@ -51,7 +51,7 @@ class Crew:
             job.started = time.monotonic()
             set_listener(lambda what, done, total, job=job: self._report(job, what, done, total))
             try:
-                job.future.set_result(web.carried_out(web.TASKS, job.task, job.arguments))
+                job.future.set_result(web.perform_task(web.TASKS, job.task, job.arguments))
             except web.TaskFailed as error:
                 job.future.set_exception(error)
             finally:
@@ -93,7 +93,7 @@ def serve(folder: Path, campaigns: Path | None = None, data: Path | None = None,
     quick, long = Crew(limits.get("queue", 64)), Crew(limits.get("queue", 64))
     app = web.make_app(web.ServerSettings(folder, campaigns, data, **limits), (quick, long))
     config = uvicorn.Config(
-        app, host="127.0.0.1", port=0, log_level="error", server_header=False, ws="none", http=web.connections_of(256)
+        app, host="127.0.0.1", port=0, log_level="error", server_header=False, ws="none", http=web.connection_class(256)
     )
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, daemon=True)

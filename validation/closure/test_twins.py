@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hyperval.campaign import job_of, run_campaign
+from hyperval.campaign import load_job, run_campaign
 from hyperval.compare import judged
 from hyperval.config import parse_yaml
 from hyperval.results import Outcome, Result, ResultTable
@@ -38,7 +38,7 @@ def run_twin(name: str, seed: int, folder: Path) -> ResultTable:
     scene = folder / data["collection"]["simulate"]
     scene.write_text(re.sub(r"(?m)^seed: .*$", f"seed: {seed}", scene.read_text("utf-8")), "utf-8")
     write_yaml(folder / name, {key: value for key, value in data.items() if key != "attribution"})
-    return run_campaign(job_of(folder / name)).table
+    return run_campaign(load_job(folder / name)).table
 
 
 def detection(table: ResultTable, metric: str) -> list[Result]:
@@ -90,7 +90,7 @@ def test_the_interval_tells_a_fill_from_the_next(runs, pfa):
 
 
 def test_the_broken_twin_fails_the_criteria_of_closure(broken):
-    table = ResultTable(judged(list(broken), job_of(TWIN / "campaign.yaml").campaign.comparisons))
+    table = ResultTable(judged(list(broken), load_job(TWIN / "campaign.yaml").campaign.comparisons))
     failed = {row.product for row in table.where(outcome=Outcome.DISAGREES) if row.gates}
     assert failed >= {"radiance", "reflectance", "roc", "scores", "covariance"}
     for pfa in LEVELS:

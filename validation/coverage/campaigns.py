@@ -22,7 +22,7 @@ from world import engine  # with the shared parts of the tests on the path
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms
-from hyperval.campaign import job_of, run_campaign
+from hyperval.campaign import load_job, run_campaign
 from hyperval.compare import compare_covariance, covariance, detection
 from hyperval.config import parse_yaml
 from hyperval.metrics import Kind, metric_of
@@ -160,7 +160,7 @@ def rows_of(number: int, seed: int) -> list[Result]:
         stack.enter_context(patch("hyperval.model.stated.atmospheric_terms", lambda state, **_: terms(state)))
         stack.enter_context(patch.multiple(detection, REPLICATES=1000, POWER_DRAWS=20))
         stack.enter_context(patch.object(covariance, "compare_covariance", of_classes))
-        report = run_campaign(job_of(folder / "campaign.yaml"))
+        report = run_campaign(load_job(folder / "campaign.yaml"))
     return list(report.table)
 
 

@@ -193,7 +193,7 @@ def collect(t: Truth, rng: np.random.Generator, *, detection: bool = True, extra
     def seen(reflectance: Array) -> Array:
         flat = reflectance.reshape(-1, B).astype(np.float32)
         level = detector.radiance(flat)
-        measured = detector.measured(level, rng).astype(float)
+        measured = detector.measure(level, rng).astype(float)
         level = level.astype(float)
         return (t.recorded * extra * (level + t.noise * (measured - level))).reshape(reflectance.shape)
 

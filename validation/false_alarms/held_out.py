@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from law_coverage import parts_of, scored
 
-from hyperval.campaign import jobs_of
+from hyperval.campaign import load_jobs
 from hyperval.datasets import InputLog
 from hyperval.model import ClassScores, log_false_alarm
 from hyperval.observe import observe
@@ -36,7 +36,7 @@ class Image:
     """Pixels outside the targets: spectra, class, block, and the scores of the five filters."""
 
     def __init__(self) -> None:
-        job = jobs_of(CAMPAIGN)[0]
+        job = load_jobs(CAMPAIGN)[0]
         detection = job.campaign.detection.model_copy(update={"unmixing": None})
         observed = observe(job.campaign.collection, detection, InputLog.of_file(job.path).resolve)
         place, detected = observed.place, observed.detected

@@ -23,8 +23,8 @@ from hyperval import baseline, imagery, model, spectra
 from hyperval import campaign as campaigns
 from hyperval.envi_header import header_beside
 from hyperval.errors import UsageError, refuse
-from hyperval.figures.catalogue import look_of, wavelengths
-from hyperval.figures.spec import SOURCES, Axis, Dash, Mark, Panels, Part, single
+from hyperval.figures.catalogue import spectra_labels, wavelength_axis
+from hyperval.figures.spec import SOURCES, Axis, Dash, Mark, Panels, Part, single_panel
 from hyperval.hdf5 import check_hdf5
 from hyperval.metrics import Metric, table
 from hyperval.model import Z95, detection_at
@@ -55,15 +55,15 @@ def _axes(ax: Axes | None, height_in: float = 4.8) -> Axes:
     return ax or pyplot.subplots(figsize=(8.0, height_in))[1]
 
 
-def _drawn(view: Panels, ax: Axes | None, height_in: float = 4.8) -> Axes:
+def _draw(view: Panels, ax: Axes | None, height_in: float = 4.8) -> Axes:
     """A stated view in axes, new ones where none are given."""
-    from hyperval.figures.print import draw_part, legend_of
+    from hyperval.figures.print import draw_part, legend_entries
 
     ax = _axes(ax, height_in)
     draw_part(ax, view, view.parts[0])
     ax.set(xlabel=view.x.label, ylabel=view.parts[0].y.label)
     if any(mark.label for mark in view.parts[0].marks):
-        ax.legend(*legend_of(view), fontsize="small")
+        ax.legend(*legend_entries(view), fontsize="small")
     return ax
 
 
@@ -103,8 +103,8 @@ class SidesPlot:
             raise UsageError(f"nothing to draw: no {product}", expected=f"one of {names}" if names else None)
         columns = {"x": "band_nm", "y": "value", "half": "half"}
         sides = list(self.tables.both.values())
-        x, y = wavelengths(sides[0].axis), Axis(look_of(sides, product)[0])
-        return _drawn(single(x, y, _lines(use, ["subject"], columns)), ax)
+        x, y = wavelength_axis(sides[0].axis), Axis(spectra_labels(sides, product)[0])
+        return _draw(single_panel(x, y, _lines(use, ["subject"], columns)), ax)
 
     def roc(self, ax: Axes | None = None) -> Axes:
         """Every ROC curve, false alarms on a logarithmic scale.
@@ -116,7 +116,7 @@ class SidesPlot:
         refuse(self.tables.roc.empty, "api.no_curve")
         marks = _lines(self.tables.roc, ["subject", "detector", "unit"], {"x": "pfa", "y": "pd"})
         x, y = Axis("probability of false alarm", "log"), Axis("probability of detection", ends=(0.0, 1.0))
-        return _drawn(single(x, y, marks), ax)
+        return _draw(single_panel(x, y, marks), ax)
 
 
 def _lines(frame: pandas.DataFrame, names: list[str], columns: Mapping[str, str]) -> list[Mark]:
@@ -167,7 +167,7 @@ class _Shown:
         return xr.Dataset.from_dataframe(self.to_dataframe())
 
 
-def _card(head: str, facts: Mapping[str, Iterable[object]]) -> str:
+def _summary_card(head: str, facts: Mapping[str, Iterable[object]]) -> str:
     """A head and a line for each fact that there is, ten lines at most."""
     lines = [f"<{head}>"]
     for name, values in facts.items():
@@ -179,7 +179,7 @@ def _card(head: str, facts: Mapping[str, Iterable[object]]) -> str:
     return "\n".join(lines)
 
 
-def _counted(column: pandas.Series[Any]) -> list[str]:
+def _count_text(column: pandas.Series[Any]) -> list[str]:
     """How often each value of a column stands in it, in words."""
     return [f"{n} {value}" for value, n in column.value_counts(sort=False).items()]
 
@@ -276,7 +276,7 @@ class _Side(_Tables):
             name: sorted({key if isinstance(key, str) else "/".join(key) for key in getattr(self.products, name)})
             for name in (*SPECTRA, "scores", "roc", "abundance", "classification")
         }
-        return _card(f"{type(self).__name__} of {self.products.axis.words}", facts)
+        return _summary_card(f"{type(self).__name__} of {self.products.axis.words}", facts)
 
     def pd(
         self, subject: str, *, pfa: float = 1e-3, detector: str | None = None, unit: str | None = None
@@ -344,8 +344,8 @@ class Results(_Shown, ResultTable):
     def __repr__(self) -> str:
         """Number of rows by product and by outcome."""
         frame = self.frame()
-        counts = {name: _counted(frame[name]) for name in ("product", "outcome", "cause")}
-        return _card(f"Results of {len(frame)} rows", {"campaigns": frame["campaign"].unique(), **counts})
+        counts = {name: _count_text(frame[name]) for name in ("product", "outcome", "cause")}
+        return _summary_card(f"Results of {len(frame)} rows", {"campaigns": frame["campaign"].unique(), **counts})
 
     def to_dataframe(self) -> pandas.DataFrame:
         """The rows in the columns of ``results.csv``."""
@@ -373,7 +373,7 @@ class Results(_Shown, ResultTable):
         marks.append(Mark("dots", {"x": ends, "y": np.tile(y, 2)}, "limit", SOURCES[5], marker="tick", along="x"))
         labels = rows[["subject", "method", "metric"]].astype(str).agg(" ".join, axis=1)
         part = Part(Axis.named(labels.to_list(), 80), tuple(marks))
-        return _drawn(Panels(Axis("value, 95 % interval, limits"), (part,)), ax, 1.0 + 0.25 * max(len(rows), 4))
+        return _draw(Panels(Axis("value, 95 % interval, limits"), (part,)), ax, 1.0 + 0.25 * max(len(rows), 4))
 
 
 @dataclass(frozen=True, repr=False)
@@ -418,9 +418,9 @@ class Validation(_Tables):
 
     def __repr__(self) -> str:
         """The campaign, and its rows by outcome."""
-        rows = _counted(self.results.frame()["outcome"])
+        rows = _count_text(self.results.frame()["outcome"])
         subjects = {name: side.radiance or side.reflectance for name, side in self.both.items()}
-        return _card(f"Run of {self.name}", {"rows": rows, "sides": self.both, **subjects})
+        return _summary_card(f"Run of {self.name}", {"rows": rows, "sides": self.both, **subjects})
 
     def to_dataframe(self) -> pandas.DataFrame:
         """The rows in the columns of ``results.csv``."""
@@ -461,7 +461,7 @@ class Study(_Shown):
                 facts[str(name)] = [f"{np.nanmin(column):.4g} to {np.nanmax(column):.4g}{unit}"]
             else:
                 facts[str(name)] = sorted(set(map(str, column.to_numpy())))
-        return _card(f"Study of {self.table.sizes['point']} points", facts)
+        return _summary_card(f"Study of {self.table.sizes['point']} points", facts)
 
     def to_dataframe(self) -> pandas.DataFrame:
         """A row for each point."""
@@ -503,7 +503,7 @@ class Collection(_Shown):
         sizes = self.to_xarray()["radiance"].shape
         files = [path.name for path in vars(self).values() if isinstance(path, Path) and path != self.folder]
         size = "Collection of {} lines, {} samples, {} bands".format(*sizes)
-        return _card(size, {"folder": [self.folder], "files": files})
+        return _summary_card(size, {"folder": [self.folder], "files": files})
 
     def to_xarray(self) -> xr.Dataset:
         """The cube, read where it is asked for: radiance over lines, samples and bands."""
@@ -537,7 +537,7 @@ class Metrics(_Shown):
 
     def __repr__(self) -> str:
         """Number of metrics by kind."""
-        return _card(f"Metrics: {len(self.rows)}", {"kinds": _counted(self.to_dataframe()["kind"])})
+        return _summary_card(f"Metrics: {len(self.rows)}", {"kinds": _count_text(self.to_dataframe()["kind"])})
 
     def to_dataframe(self) -> pandas.DataFrame:
         """A row for each metric, by name."""
@@ -556,7 +556,7 @@ def load_campaign(path: Path | str) -> campaigns.Job:
     InputError, UsageError : of the file.
     """
 
-    return campaigns.job_of(Path(path))
+    return campaigns.load_job(Path(path))
 
 
 def explain(
@@ -625,7 +625,7 @@ def observe(campaign: campaigns.Job | Path | str, *, show_progress: bool | None 
     InputError, UsageError : of the campaign; MissingDataError where its data are not at hand.
     """
 
-    with bars(show_progress), campaigns.collected(_job(campaign, compares=False)) as collection:
+    with bars(show_progress), campaigns.observe_campaign(_job(campaign, compares=False)) as collection:
         return Observation(collection.observed.observation)
 
 
@@ -714,7 +714,7 @@ def check(
     names = [sensors] if isinstance(sensors, str) else list(sensors)
     with bars(show_progress):
         runs = baseline.check([Path(f) for f in files], names, baselines=Path(baselines or baseline.DEFAULT_FOLDER))
-    return Results(baseline.rows_of(runs))
+    return Results(baseline.joined_rows(runs))
 
 
 def simulate(
@@ -761,11 +761,11 @@ def metrics() -> Metrics:
 
 
 def _job(campaign: campaigns.Job | Path | str, *, compares: bool = True) -> Any:
-    """The campaign as it is, or that of a file of one run; ``compares`` as for :func:`jobs_of`."""
+    """The campaign as it is, or that of a file of one run; ``compares`` as for :func:`load_jobs`."""
 
     if isinstance(campaign, campaigns.Job):
         return campaign
-    jobs = campaigns.jobs_of(Path(campaign), compares=compares)
+    jobs = campaigns.load_jobs(Path(campaign), compares=compares)
     return jobs[0] if len(jobs) == 1 else load_campaign(campaign)  # which says what is wrong with several
 
 

@@ -2,16 +2,16 @@
 
 from .candidates import (
     Candidate,
-    Family,
     NotInjectable,
+    Perturbation,
     errors_of_file,
     every_input,
     exchanged_pairs,
     further_candidates,
     injected_errors,
     injected_prediction,
-    others_in_place,
     rarer_candidates,
+    substitutions,
 )
 from .posterior import (
     COMMON,
@@ -23,7 +23,7 @@ from .posterior import (
     Residuals,
     Whitened,
     common_and_individual,
-    kind_of,
+    prior_group,
 )
 from .reasons import (
     Causes,
@@ -31,20 +31,20 @@ from .reasons import (
     Truths,
     alarm_ratios,
     attribute,
-    causes_of,
     changed_scenarios,
-    reason_for,
+    collect_causes,
+    explain_ratio,
     scale_warnings,
-    shares_of_variance,
+    variance_shares,
 )
 from .residuals import ResidualBlock, Stack, few_objects, quantities, sampled_covariance, stack_of
 from .schema import AttributionOptions, WhatIf
 
 __all__ = [
-    "COMMON", "DIFFERENT", "NONE", "NOTHING", "AttributionOptions", "Candidate", "Causes",
-    "Family", "NotInjectable", "Posterior", "Reasoner", "ResidualBlock", "Residuals", "ScenarioModel", "Stack",
-    "Truths", "WhatIf", "Whitened", "alarm_ratios", "attribute", "causes_of",
-    "changed_scenarios", "common_and_individual", "errors_of_file", "every_input", "exchanged_pairs", "few_objects",
-    "further_candidates", "injected_errors", "injected_prediction", "kind_of", "others_in_place", "quantities",
-    "rarer_candidates", "reason_for", "sampled_covariance", "scale_warnings", "shares_of_variance", "stack_of",
+    "COMMON", "DIFFERENT", "NONE", "NOTHING", "AttributionOptions", "Candidate", "Causes", "NotInjectable",
+    "Perturbation", "Posterior", "Reasoner", "ResidualBlock", "Residuals", "ScenarioModel", "Stack", "Truths", "WhatIf",
+    "Whitened", "alarm_ratios", "attribute", "changed_scenarios", "collect_causes", "common_and_individual",
+    "errors_of_file", "every_input", "exchanged_pairs", "explain_ratio", "few_objects", "further_candidates",
+    "injected_errors", "injected_prediction", "prior_group", "quantities", "rarer_candidates", "sampled_covariance",
+    "scale_warnings", "stack_of", "substitutions", "variance_shares",
 ]  # fmt: skip

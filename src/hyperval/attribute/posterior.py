@@ -76,7 +76,7 @@ class Whitened:
         x = (np.asarray(columns, dtype=float).T / self._sd).T
         return np.asarray(linalg.solve_triangular(self._lower, x, lower=True))
 
-    def coloured(self, x: Array) -> Array:
+    def unwhiten(self, x: Array) -> Array:
         """L x: what is whitened, back in its own units."""
         return np.asarray((self._lower @ x) * self._sd)
 
@@ -122,13 +122,13 @@ class Fit:
         return float(self.amplitudes[0] if self.amplitudes.size == 1 else np.linalg.norm(self.amplitudes))
 
     @property
-    def in_words(self) -> str:
+    def description(self) -> str:
         """How far it would have to move."""
-        return self.candidate.in_words(self.amplitudes) + ", at its limit" * self.limited
+        return self.candidate.describe(self.amplitudes) + ", at its limit" * self.limited
 
 
 @lru_cache(maxsize=256)
-def _between(sizes: tuple[float, ...]) -> scipy.interpolate.CubicSpline:
+def _interpolation(sizes: tuple[float, ...]) -> scipy.interpolate.CubicSpline:
     """Weights of the values at some sizes in the value at another one."""
     order = np.argsort(sizes)
     return scipy.interpolate.CubicSpline(np.array(sizes)[order], np.eye(len(sizes))[order])
@@ -146,9 +146,9 @@ class Directions:
         values, vectors = linalg.eigh(columns.T @ columns)
         keep = values > _ROUGH * max(float(values[-1]), 1e-300)
         self.values, self.vectors = values[keep], vectors[:, keep]
-        self.most = candidate.most
+        self.max_units = candidate.max_units
         # Spreads tau (T,), factors (S,) on all variances, ln of their prior (S, T).
-        spreads = np.geomspace(0.02, self.most, 41)
+        spreads = np.geomspace(0.02, self.max_units, 41)
         self.tau: Array = np.append(0.0, spreads) if candidate is UNKNOWN else spreads
         self.scale2: Array = _FACTORS**2 if candidate is UNKNOWN else np.ones(1)
         weight = np.where(self.tau > 0.0, self.tau / (TYPICAL**2 + self.tau**2), 1.0)  # half-Cauchy, by ln tau
@@ -157,7 +157,7 @@ class Directions:
         self._inverse, self._logs = 1.0 / grown, np.log(grown).sum(axis=2)
 
     def fit(self, e: Array) -> Fit:
-        """Of residuals e (n,)."""
+        """Fit to residuals e (n,)."""
         dots = self.vectors.T @ (self.columns.T @ e)
         q2, total = dots**2 / self.values, float(e @ e)
         rest, unmoved = max(total - float(q2.sum()), 0.0), e.size - self.values.size
@@ -168,17 +168,17 @@ class Directions:
         t2, s2 = float(self.tau[best] ** 2), float(self.scale2[best_s])
         z = self.vectors @ (t2 / (s2 + t2 * self.values) * dots)
         evidence = float(np.logaddexp.reduce(logs, axis=None))
-        if self.candidate is not UNKNOWN and np.max(np.abs(z), initial=0.0) > self.most:
-            made = self.columns @ np.clip(z, -self.most, self.most)
+        if self.candidate is not UNKNOWN and np.max(np.abs(z), initial=0.0) > self.max_units:
+            made = self.columns @ np.clip(z, -self.max_units, self.max_units)
             return Fit(self.candidate, evidence, z, made, made, np.zeros((e.size, 0)), np.zeros(0), True)
         freed, variances = self.columns @ (self.vectors / np.sqrt(self.values)), t2 * self.values
         return Fit(self.candidate, evidence, z, self.columns @ z, np.zeros_like(e), freed, variances, False, s2)
 
-    def drawn(self, rng: np.random.Generator, length: float) -> Array:
-        """What it makes, so long or nearly; short of its bounds."""
+    def draw(self, rng: np.random.Generator, length: float) -> Array:
+        """A random effect of about this length, within its bounds."""
         z = rng.normal(size=self.columns.shape[1])
         made = self.columns @ z
-        far = min(length / max(float(np.linalg.norm(made)), 1e-300), 0.9 * self.most / float(np.max(np.abs(z))))
+        far = min(length / max(float(np.linalg.norm(made)), 1e-300), 0.9 * self.max_units / float(np.max(np.abs(z))))
         return np.asarray(far * made)
 
 
@@ -191,21 +191,21 @@ class Family:
     >>> day = Candidate("date", "scene", "1 d", False, sizes=sizes)
     >>> def sun(z):  # nearly the same on both sides of a solstice
     ...     return 1e4 * (np.outer([1.0, 0.4], (np.asarray(z) - 11.0) ** 2 / 900.0 - 0.134) + np.outer([0, 1e-3], z))
-    >>> round(effect_of(day, sun(sizes)).fit(sun([-32.0])[:, 0]).units, 2)
+    >>> round(build_effect(day, sun(sizes)).fit(sun([-32.0])[:, 0]).units, 2)
     -32.0
     """
 
     def __init__(self, candidate: Candidate, columns: Array):
-        self.candidate, self.low, self.high = candidate, *candidate.ends
-        self._between = _between((0.0, *candidate.sizes))
+        self.candidate, self.low, self.high = candidate, *candidate.size_limits
+        self._interpolation = _interpolation((0.0, *candidate.sizes))
         self.columns = np.column_stack([np.zeros(len(columns)), columns])
         self.gram = self.columns.T @ self.columns
 
     def weights(self, a: Array, derivative: int = 0) -> Array:
         """(len(a), m) of the columns at sizes ``a``, or its derivative."""
-        inside = np.clip(a, self._between.x[0], self._between.x[-1])
-        slope = self._between(inside, 1)
-        return np.asarray(slope if derivative else self._between(inside) + (a - inside)[:, None] * slope)
+        inside = np.clip(a, self._interpolation.x[0], self._interpolation.x[-1])
+        slope = self._interpolation(inside, 1)
+        return np.asarray(slope if derivative else self._interpolation(inside) + (a - inside)[:, None] * slope)
 
     def fit(self, e: Array) -> Fit:
         """Evidence by the trapezoid rule, on a grid that is refined where the likelihood has its mass."""
@@ -242,8 +242,8 @@ class Family:
         made = self.columns @ self.weights(size)[0]
         return Fit(self.candidate, float(evidence), size, made, made, *freed, limited)
 
-    def drawn(self, rng: np.random.Generator, length: float) -> Array:
-        """What it makes at a size of either sign at which that is so long, or nearly; short of its bounds."""
+    def draw(self, rng: np.random.Generator, length: float) -> Array:
+        """The effect at a size of either sign, of about this length, within its bounds."""
         w = self.weights((self.low, self.high)[rng.integers(2)] * np.geomspace(1e-4, 0.9, 400))
         far = np.sqrt(np.maximum(np.einsum("am,mn,an->a", w, self.gram, w), 0.0))
         return np.asarray(self.columns @ w[np.argmin(np.abs(far - length))])
@@ -257,23 +257,23 @@ class Alternatives:
         self._half = 0.5 * np.sum(columns**2, axis=0)
 
     def fit(self, e: Array) -> Fit:
-        """Of residuals e (n,)."""
+        """Fit to residuals e (n,)."""
         logs = self.columns.T @ e - self._half
         best = int(np.argmax(logs))
         evidence = float(np.logaddexp.reduce(logs) - np.log(logs.size))
         made = self.columns[:, best]
         return Fit(self.candidate, evidence, np.array([float(best)]), made, made, np.zeros((e.size, 0)), np.zeros(0))
 
-    def drawn(self, rng: np.random.Generator, length: float) -> Array:
-        """What one of them makes, however long."""
+    def draw(self, rng: np.random.Generator, length: float) -> Array:
+        """The effect of one of them at random, whatever its length."""
         return np.asarray(self.columns[:, rng.integers(self.columns.shape[1])])
 
 
 Effect = Directions | Family | Alternatives
 
 
-def effect_of(candidate: Candidate, columns: Array) -> Effect:
-    """What a candidate does to whitened residuals (n, k), by its kind."""
+def build_effect(candidate: Candidate, columns: Array) -> Effect:
+    """The effect of a candidate on whitened residuals (n, k), by its kind."""
     kind: type[Effect] = Alternatives if candidate.labels else Family if candidate.sizes else Directions
     return kind(candidate, columns)
 
@@ -293,8 +293,8 @@ class Hypothesis:
     chi_squares: tuple[float, ...]
 
     @property
-    def first(self) -> str:
-        """What it names first."""
+    def first_cause(self) -> str:
+        """The cause that it names first."""
         return self.causes[0].name if self.causes else NOTHING
 
 
@@ -337,19 +337,19 @@ class Posterior:
     remark: str = ""
 
     @classmethod
-    def of_nothing(cls, dof: int) -> Posterior:
-        """Of residuals that are all 0."""
+    def for_zero_residuals(cls, dof: int) -> Posterior:
+        """The posterior of residuals that are all 0."""
         return cls(ALL, 0.0, dof, 1.0, (), (Hypothesis((), 0.0, ()),), {NOTHING: 1.0, NONE: 0.0})
 
     @property
-    def first(self) -> str:
+    def first_cause(self) -> str:
         """The likeliest first cause."""
         return max(self.probability, key=lambda name: self.probability[name])
 
     @property
     def best(self) -> Hypothesis:
         """The likeliest hypothesis that names it."""
-        return next(h for h in self.hypotheses if h.first == self.first)
+        return next(h for h in self.hypotheses if h.first_cause == self.first_cause)
 
     @property
     def remaining_chi_square(self) -> float:
@@ -359,12 +359,12 @@ class Posterior:
         return named[-1] if named else self.chi_square
 
     @property
-    def p_left(self) -> float:
+    def remaining_p_value(self) -> float:
         """Probability of what is left after the causes of the best hypothesis, or of more."""
         return float(scipy.stats.chi2.sf(self.remaining_chi_square, self.dof))
 
     @property
-    def enough(self) -> bool:
+    def is_sufficient(self) -> bool:
         """Whether the named causes explain the residuals: what is left passes, they are few, within their bounds, could
         not make anything, and the first or those that cannot be told from it are likely.
 
@@ -372,13 +372,14 @@ class Posterior:
         ...     causes = [Candidate(name, "sensor", "1 %", False) for name in names]
         ...     columns = {c: np.eye(8)[:, i : i + 1] for i, c in enumerate(causes)}
         ...     found = Reasoner(columns, 0.1 * np.eye(8)[:, 4:]).posterior("all", np.pad(r, (0, 8 - len(r))))
-        ...     return len(found.best.causes), found.enough
+        ...     return len(found.best.causes), found.is_sufficient
         >>> said([30.0], "gain"), said([30.0], "single bands")
         ((1, True), (1, False))
         >>> one, named = np.eye(8)[:, :1], [Candidate(name, "sensor", "1 %", False) for name in "abc"]
-        >>> three = [effect_of(candidate, one).fit(30.0 * one[:, 0]) for candidate in named]
+        >>> three = [build_effect(candidate, one).fit(30.0 * one[:, 0]) for candidate in named]
         >>> hypotheses = [Hypothesis(tuple(three[:k]), 0.0, k * (0.1,)) for k in (1, 2, 3)]
-        >>> [Posterior("all", 900.0, 8, 0.0, tuple(three), (h,), {"a": 1.0, NOTHING: 0.0}).enough for h in hypotheses]
+        >>> found = [Posterior("all", 900.0, 8, 0.0, tuple(three), (h,), {"a": 1.0, NOTHING: 0.0}) for h in hypotheses]
+        >>> [posterior.is_sufficient for posterior in found]
         [True, True, False]
 
         Of a change, a smooth piece beside another cause fits what that one left:
@@ -386,30 +387,30 @@ class Posterior:
         >>> piece = replace(named[1], knots_nm=(400.0,), unbounded=True)
         >>> two = [replace(three[0], candidate=replace(named[0], unbounded=True)), replace(three[1], candidate=piece)]
         >>> h = Hypothesis(tuple(two), 0.0, (0.1, 0.1))
-        >>> Posterior("all", 900.0, 8, 0.0, tuple(two), (h,), {"a": 1.0, NOTHING: 0.0}).enough
+        >>> Posterior("all", 900.0, 8, 0.0, tuple(two), (h,), {"a": 1.0, NOTHING: 0.0}).is_sufficient
         False
         """
-        causes, sure = self.best.causes, sum(self.probability.get(name, 0.0) for name in (self.first, *self.confounded))
+        causes, sure = self.best.causes, sum(self.probability.get(n, 0.0) for n in (self.first_cause, *self.confounded))
         named = [c.candidate for c in causes if c.candidate is not UNKNOWN and not c.limited]
-        inside = 0 < len(named) == len(causes) < MOST_CAUSES and not any(c.makes_anything for c in named)
+        inside = 0 < len(named) == len(causes) < MOST_CAUSES and not any(c.fits_any_spectrum for c in named)
         if len(named) > 1 and named[0].unbounded:  # of a change, which has no noise, smooth pieces make the rest
             inside = inside and not any(c.knots_nm for c in named)
-        return inside and self.p_left >= ENOUGH and sure >= LIKELY and not self.beside_noise
+        return inside and self.remaining_p_value >= ENOUGH and sure >= LIKELY and not self.beside_noise
 
     @property
-    def passes(self) -> bool:
+    def is_consistent(self) -> bool:
         """Whether the stated uncertainties explain the residuals and, where there are parts, each part of them."""
         return all(r.p_value >= self.level for r in (self, *self.parts))
 
     @property
-    def times_too_wide(self) -> float:
+    def overestimation(self) -> float:
         """How many times too wide the stated uncertainties are at least: c^2 r^T C^-1 r = chi2_n at the level."""
         return float(np.sqrt(scipy.stats.chi2.ppf(TOO_WIDE_LEVEL, self.dof) / self.chi_square))
 
     @property
-    def too_wide(self) -> bool:
+    def is_too_wide(self) -> bool:
         """Whether the stated uncertainties are far wider than the residuals; where all are 0 both sides are one."""
-        return self.passes and self.chi_square > 0.0 and self.times_too_wide > TOO_WIDE
+        return self.is_consistent and self.chi_square > 0.0 and self.overestimation > TOO_WIDE
 
     @property
     def conclusion(self) -> str:
@@ -419,7 +420,7 @@ class Posterior:
         cause of less than half, where the rest has none.
 
         >>> one, sun = np.eye(8)[:, :1], Candidate("sun", "scene", "1 h", False, sizes=(-2.0, 2.0))
-        >>> fit = effect_of(sun, np.outer(one, sun.sizes)).fit(1.5 * one[:, 0])
+        >>> fit = build_effect(sun, np.outer(one, sun.sizes)).fit(1.5 * one[:, 0])
         >>> rest = replace(fit, candidate=UNKNOWN)
         >>> def posterior(group, whole, rests, *causes):
         ...     return Posterior(group, whole, 8, 1e-9, (fit,), (Hypothesis(causes, 0.0, rests),), {"sun": 1.0})
@@ -431,43 +432,43 @@ class Posterior:
         '0.625 after, of what all share; of everything: none of the causes tr'
         """
         before = f"reduced chi-square {self.chi_square / self.dof:.3g} of {self.dof} residuals"
-        if self.too_wide and self.first == NOTHING:
-            return f"stated uncertainty at least {self.times_too_wide:.2g} times too wide: {before}"
-        if self.passes and self.first == NOTHING:
+        if self.is_too_wide and self.first_cause == NOTHING:
+            return f"stated uncertainty at least {self.overestimation:.2g} times too wide: {before}"
+        if self.is_consistent and self.first_cause == NOTHING:
             return f"nothing to explain: {before} (p = {self.p_value:.2g})"
-        if not self.enough and (part := next((r for r in self.parts if r.enough), None)):
+        if not self.is_sufficient and (part := next((r for r in self.parts if r.is_sufficient), None)):
             return f"{part.conclusion}, of {part.group}; of everything: {replace(self, parts=()).conclusion}"
-        if self.first == NOTHING and self.p_value >= self.level:
+        if self.first_cause == NOTHING and self.p_value >= self.level:
             names = " and ".join(f"{r.group} (p = {r.p_value:.2g})" for r in self.parts if r.p_value < self.level)
             return f"consistent in total, not in parts: {before} (p = {self.p_value:.2g}); inconsistent: {names}"
-        if self.first == NOTHING:
+        if self.first_cause == NOTHING:
             return f"no input explains the differences: {before} (p = {self.p_value:.2g})"
         little = self.remaining_chi_square - self.dof > MOST_LEFT * (self.chi_square - self.dof)
-        if self.first == NONE or (little and self.best.causes[-1].candidate is UNKNOWN):
+        if self.first_cause == NONE or (little and self.best.causes[-1].candidate is UNKNOWN):
             nearest = max((f for f in self.fits if not f.limited), key=lambda f: f.evidence, default=None)
-            near = f" (the nearest: {nearest.name}, {nearest.in_words})" if nearest and nearest.evidence > 0.0 else ""
+            near = f" (the nearest: {nearest.name}, {nearest.description})" if nearest and nearest.evidence > 0 else ""
             return f"none of the causes tried{near}: {before}"
-        return f"{self._causes}: {before}, {self.remaining_chi_square / self.dof:.3g} after"
+        return f"{self._cause_summary}: {before}, {self.remaining_chi_square / self.dof:.3g} after"
 
     @property
-    def _causes(self) -> str:
+    def _cause_summary(self) -> str:
         """ "check the time of overflight (+1 h explains 94 % of the difference), then the sensor gain (x 1.02)"
 
         >>> one, gain = np.eye(8)[:, :1], Candidate("gain", "sensor", "1 %", False)
-        >>> h = Hypothesis((effect_of(gain, one).fit(30.0 * one[:, 0]),), 0.0, (4.0,))
-        >>> said = [Posterior("all", 1e3, 8, 0.0, (), (h,), {"gain": p, NOTHING: 1.0 - p})._causes for p in (1.0, 0.6)]
-        >>> [words.partition("explains ")[2] for words in said]
+        >>> h = Hypothesis((build_effect(gain, one).fit(30.0 * one[:, 0]),), 0.0, (4.0,))
+        >>> found = [Posterior("all", 1e3, 8, 0.0, (), (h,), {"gain": p, NOTHING: 1.0 - p}) for p in (1.0, 0.6)]
+        >>> [posterior._cause_summary.partition("explains ")[2] for posterior in found]
         ['100 % of the difference); sufficient', 'over 99 % of the difference); possibly not sufficient']
         """
         first, *more = self.best.causes
         percent = max(100.0 - 100.0 * self.best.chi_squares[0] / self.chi_square, 0.0)
-        part = "over 99" if percent >= 99.5 and not self.enough else f"{percent:.0f}"
-        words = f"check the {first.name} ({first.in_words} explains {part} % of the difference"
+        part = "over 99" if percent >= 99.5 and not self.is_sufficient else f"{percent:.0f}"
+        words = f"check the {first.name} ({first.description} explains {part} % of the difference"
         words += f"; not distinguished from {' and '.join(self.confounded[:3])})" if self.confounded else ")"
-        words += "".join(f", then the {c.name} ({c.in_words})" for c in more if c.candidate is not UNKNOWN)
+        words += "".join(f", then the {c.name} ({c.description})" for c in more if c.candidate is not UNKNOWN)
         if any(c.candidate is UNKNOWN for c in more):
             return f"{words}; not sufficient: the remainder has none of the causes tried"
-        sure = "sufficient" if self.enough else "possibly not sufficient"
+        sure = "sufficient" if self.is_sufficient else "possibly not sufficient"
         return f"{words}; {'together ' if more else ''}{sure}"
 
 
@@ -486,11 +487,11 @@ class Reasoner:
     --------
     >>> water, gain = (Candidate(name, "input", "0.1", True) for name in ("water", "gain"))
     >>> reasoner = Reasoner({water: np.eye(3)[:, :1], gain: np.ones((3, 1))}, np.eye(3))
-    >>> reasoner.posterior("all", np.array([9.0, 0.3, -0.2])).first
+    >>> reasoner.posterior("all", np.array([9.0, 0.3, -0.2])).first_cause
     'water'
     >>> wide, change = np.eye(8), np.array([9.0, 4.0, -3.0, 0, 0, 0, 0, 0])
     >>> two = {water: wide[:, :1], gain: np.ones((8, 1))}
-    >>> [Reasoner(two, wide, noisy=noisy).posterior("all", change).first for noisy in (True, False)]
+    >>> [Reasoner(two, wide, noisy=noisy).posterior("all", change).first_cause for noisy in (True, False)]
     ['water', 'none of these']
 
     What would have to go beyond its bounds is no reason, alone or after another.
@@ -506,7 +507,7 @@ class Reasoner:
 
     >>> bands = Candidate("single bands", "sensor", "1 % in each band", False)
     >>> reasoner = Reasoner({bands: one}, one, noisy=False)
-    >>> [reasoner.posterior("all", change).first for change in (30.0 * one[1], np.full(40, 30.0))]
+    >>> [reasoner.posterior("all", change).first_cause for change in (30.0 * one[1], np.full(40, 30.0))]
     ['single bands', 'none of these']
 
     The cause that makes most of it is named first.
@@ -527,49 +528,50 @@ class Reasoner:
     Nor is a cause named that makes less than half of a change.
 
     >>> half = {noisy: Reasoner({offset: one[:, :1]}, one[:, 4:], noisy=noisy) for noisy in (True, False)}
-    >>> [half[noisy].posterior("all", 1.2 + 5.8 * one[0]).first for noisy in half]
+    >>> [half[noisy].posterior("all", 1.2 + 5.8 * one[0]).first_cause for noisy in half]
     ['offset', 'none of these']
     """
 
     def __init__(self, columns: Mapping[Candidate, Array], wide: Array, *, noisy: bool = True):
         self.columns, self.wide, self.noisy = columns, wide, noisy
-        kinds = Counter(kind_of(c.name) for c in columns)
+        kinds = Counter(prior_group(c.name) for c in columns)
         share = (1.0 - NOTHING_PRIOR - NONE_PRIOR) / max(len(kinds), 1)
-        self.prior = {c: np.log(share / kinds[kind_of(c.name)]) for c in columns} | {UNKNOWN: np.log(NONE_PRIOR)}
-        self._effects = [effect_of(c, g) for c, g in columns.items()]
+        self.prior = {c: np.log(share / kinds[prior_group(c.name)]) for c in columns} | {UNKNOWN: np.log(NONE_PRIOR)}
+        self._effects = [build_effect(c, g) for c, g in columns.items()]
         self._together = np.column_stack([*columns.values(), wide])
         self._ends = np.cumsum([g.shape[1] for g in columns.values()])
         self._none = Directions(UNKNOWN, wide)
 
     def posterior(self, group: str, e: Array) -> Posterior:
-        """Of whitened residuals (n,)."""
+        """Posterior of whitened residuals (n,)."""
         total = float(e @ e)
-        singles = sorted((effect.fit(e) for effect in self._effects), key=self._order)
+        singles = sorted((effect.fit(e) for effect in self._effects), key=self._sort_key)
         found = [Hypothesis((), float(np.log(NOTHING_PRIOR)), (total,))]
-        found += [self._extended(None, fit, e, total) for fit in (*singles, self._none.fit(e))]
+        found += [self._extend(None, fit, e, total) for fit in (*singles, self._none.fit(e))]
         # Chi-square that each leaves by itself, or nothing does; not of what could make anything, or no candidate.
-        alone = {h.first: h.chi_squares[0] for h in found[:-1] if not any(f.candidate.makes_anything for f in h.causes)}
+        specific = [h for h in found[:-1] if not any(f.candidate.fits_any_spectrum for f in h.causes)]
+        alone = {h.first_cause: h.chi_squares[0] for h in specific}
         beam = [h for h in sorted(found, key=lambda h: -h.weight) if h.causes and h.causes[-1].candidate is not UNKNOWN]
         beam = [h for h in beam[:MOST_FIRST] if h.weight > found[0].weight]
         for _ in range(MOST_CAUSES - 1):
-            longer = [more for h in beam for more in self._longer(h, e)]
+            longer = [more for h in beam for more in self._extensions(h, e)]
             found += longer
             beam = [h for h in sorted(longer, key=lambda h: -h.weight)[:1] if h.causes[-1].candidate is not UNKNOWN]
         if not self.noisy:  # a cause of a change makes most of it
-            part = [h.first in (NOTHING, NONE) or h.chi_squares[-1] <= MOST_LEFT * total for h in found]
+            part = [h.first_cause in (NOTHING, NONE) or h.chi_squares[-1] <= MOST_LEFT * total for h in found]
             found = [h if most else replace(h, weight=h.weight - total) for h, most in zip(found, part, strict=True)]
         found.sort(key=lambda h: -h.weight)
-        found = [self._ordered(h, e, alone) if h.weight > found[0].weight - CLOSE else h for h in found]
+        found = [self._reorder(h, e, alone) if h.weight > found[0].weight - CLOSE else h for h in found]
         logs = np.array([h.weight for h in found])
         weights = np.exp(logs - np.logaddexp.reduce(logs))
         probability = dict.fromkeys((NOTHING, NONE, *(f.name for f in singles)), 0.0)
         for h, weight in zip(found, weights, strict=True):
-            probability[h.first] += float(weight)
+            probability[h.first_cause] += float(weight)
         p_value = float(scipy.stats.chi2.sf(total, e.size))
         confounded = self._confounded(singles, probability, alone)
         return Posterior(group, total, e.size, p_value, tuple(singles), tuple(found), probability, confounded)
 
-    def drawn(self, rng: np.random.Generator, times: int) -> Iterator[tuple[str, Posterior]]:
+    def simulate(self, rng: np.random.Generator, times: int) -> Iterator[tuple[str, Posterior]]:
         """Worlds with one cause each, from half to five times what can just be seen, with what none describes, and with
         nothing.
 
@@ -578,7 +580,7 @@ class Reasoner:
         What was put in, a candidate's kind, and what is said of it.
         """
         n = len(self.wide)
-        of_kind: dict[str, list[Effect]] = grouped(self._effects, lambda effect: kind_of(effect.candidate.name))
+        of_kind: dict[str, list[Effect]] = grouped(self._effects, lambda effect: prior_group(effect.candidate.name))
         for _ in range(times):
             for kind in (*of_kind, NONE, NOTHING):
                 size = 0.0 if kind == NOTHING else DETECTABLE_LENGTH * np.exp(rng.uniform(np.log(0.5), np.log(5.0)))
@@ -586,15 +588,15 @@ class Reasoner:
                 made = self.wide @ rng.normal(size=self.wide.shape[1]) + rough
                 made *= size / np.linalg.norm(made)
                 if effects := of_kind.get(kind):
-                    made = effects[rng.integers(len(effects))].drawn(rng, size)
+                    made = effects[rng.integers(len(effects))].draw(rng, size)
                 if size == 0.0 or np.linalg.norm(made) >= 0.5 * DETECTABLE_LENGTH:
                     yield kind, self.posterior(ALL, made + rng.normal(size=n))
 
-    def _order(self, fit: Fit) -> tuple[bool, float, str]:
+    def _sort_key(self, fit: Fit) -> tuple[bool, float, str]:
         """Of inputs that explain the same, rounding shall not say which comes first."""
         return fit.limited, -float(f"{fit.evidence + self.prior[fit.candidate]:.6g}"), fit.name
 
-    def _extended(self, before: Hypothesis | None, fit: Fit, e: Array, total: float) -> Hypothesis:
+    def _extend(self, before: Hypothesis | None, fit: Fit, e: Array, total: float) -> Hypothesis:
         """One cause more, of residuals e that those before have been taken from; ``total`` is the chi-square of all."""
         prior = self.prior[fit.candidate]
         # Bands that are off by themselves are few, by their participation ratio: many are a pattern without a name.
@@ -603,28 +605,28 @@ class Reasoner:
         many = not self.noisy and fit.name == SINGLE_BANDS and float(np.sum(z2)) ** 2 > few
         if fit.limited or many:  # at its bound it is no reason
             prior = prior - float(e @ e)
-        rest = _rewhitened(fit, e - fit.made)
+        rest = _rewhiten(fit, e - fit.made)
         causes, weight, chi2 = (before.causes, before.weight, before.chi_squares) if before else ((), 0.0, ())
         if not self.noisy and fit.candidate is UNKNOWN and chi2 and chi2[-1] > REMAINDER * total:
             causes, chi2 = (), ()
         return Hypothesis((*causes, fit), weight + fit.evidence + float(prior), (*chi2, float(rest @ rest)))
 
-    def _without(self, causes: Sequence[Fit], e: Array) -> tuple[Array, dict[Candidate, Array]]:
+    def _remove_causes(self, causes: Sequence[Fit], e: Array) -> tuple[Array, dict[Candidate, Array]]:
         """Residuals that some causes have been taken from, and what others and no candidate would do to them."""
         columns = self._together
         for fit in causes:
-            e, columns = _rewhitened(fit, e - fit.made), _rewhitened(fit, columns)
+            e, columns = _rewhiten(fit, e - fit.made), _rewhiten(fit, columns)
         return e, dict(zip([*self.columns, UNKNOWN], np.split(columns, self._ends, axis=1), strict=True))
 
-    def _longer(self, h: Hypothesis, e: Array) -> Iterator[Hypothesis]:
-        """Its causes and one more each."""
+    def _extensions(self, h: Hypothesis, e: Array) -> Iterator[Hypothesis]:
+        """The hypothesis with each further cause."""
         if special.chdtrc(e.size, h.chi_squares[-1]) <= SUFFICES:
-            rest, columns = self._without(h.causes, e)
+            rest, columns = self._remove_causes(h.causes, e)
             for candidate, g in columns.items():
                 if all(candidate is not f.candidate for f in h.causes):
-                    yield self._extended(h, effect_of(candidate, g).fit(rest), rest, float(e @ e))
+                    yield self._extend(h, build_effect(candidate, g).fit(rest), rest, float(e @ e))
 
-    def _ordered(self, h: Hypothesis, e: Array, alone: Mapping[str, float]) -> Hypothesis:
+    def _reorder(self, h: Hypothesis, e: Array, alone: Mapping[str, float]) -> Hypothesis:
         """The same causes: what befalls all subjects before what befalls one, where it explains a good part; of a
         change, what leaves least ``alone``, and after it no more than is needed.
 
@@ -642,9 +644,9 @@ class Reasoner:
         causes, chi2 = tuple[Fit, ...](), [float(e @ e)]
         for cause in order:
             if self.noisy or special.chdtrc(e.size, chi2[-1]) <= SUFFICES:
-                rest, columns = self._without(causes, e)
-                causes += (effect_of(cause.candidate, columns[cause.candidate]).fit(rest),)
-                rest = _rewhitened(causes[-1], rest - causes[-1].made)
+                rest, columns = self._remove_causes(causes, e)
+                causes += (build_effect(cause.candidate, columns[cause.candidate]).fit(rest),)
+                rest = _rewhiten(causes[-1], rest - causes[-1].made)
                 chi2.append(float(rest @ rest))
         good = chi2[0] - chi2[1] > GOOD_PART * (chi2[0] - h.chi_squares[-1]) and not causes[0].limited
         return Hypothesis(causes, h.weight, tuple(chi2[1:])) if good else h
@@ -658,7 +660,7 @@ class Reasoner:
         >>> columns = {one: np.outer(effect, one.sizes) for one, effect in ((a, np.ones(9)), (b, np.ones(9)))}
         >>> columns[c] = np.outer(np.arange(9.0), c.sizes)
         >>> found = Reasoner(columns, np.eye(9)).posterior("all", 3.0 + np.cos(np.arange(9.0)))
-        >>> found.first, found.confounded
+        >>> found.first_cause, found.confounded
         ('a', ('b',))
 
         A candidate that leaves nearly as little of a change by itself is confounded too.
@@ -689,12 +691,12 @@ DETECTABLE_LENGTH = 3.6  # length of a whitened effect that a directed test sees
 SUFFICES = 0.3  # of a cause that leaves less than chance does, no second one is looked for
 
 
-def kind_of(name: str) -> str:
+def prior_group(name: str) -> str:
     """Candidates of one kind share its prior; light and its paths are known better than a user's own work."""
     return "light" if name in LIGHT else name if name == NONE else name.partition(" of ")[0]
 
 
-def _rewhitened(fit: Fit, x: Array) -> Array:
+def _rewhiten(fit: Fit, x: Array) -> Array:
     """Columns (n,) or (n, k) in units of an uncertainty that holds the freed directions of a cause."""
     less = 1.0 - np.sqrt(fit.factor2 / (fit.factor2 + fit.variances))
     return np.asarray((x - fit.freed @ ((fit.freed.T @ x).T * less).T) / np.sqrt(fit.factor2))
@@ -710,9 +712,9 @@ class Residuals(NamedTuple):
     columns: Mapping[Candidate, Array]
     wide: Array
 
-    def of(self, entries: Index) -> Residuals:
-        """Some of them, and the candidates that move these."""
-        moved = {c: g[entries] for c, g in self.columns.items() if _moves(g[entries], g)}
+    def subset(self, entries: Index) -> Residuals:
+        """The residuals of some entries, with the candidates that move these."""
+        moved = {c: g[entries] for c, g in self.columns.items() if _is_moved(g[entries], g)}
         return Residuals(self.values[entries], self.covariance[np.ix_(entries, entries)], moved, self.wide[entries])
 
     def whitened(self, noisy: bool = True) -> tuple[Reasoner, Array]:
@@ -722,7 +724,7 @@ class Residuals(NamedTuple):
         return Reasoner(columns, data.whiten(self.wide), noisy=noisy), data.residual
 
     def posterior(self, group: str, noisy: bool = True) -> Posterior:
-        """Of their causes."""
+        """Posterior of their causes."""
         reasoner, residual = self.whitened(noisy)
         return reasoner.posterior(group, residual)
 
@@ -749,11 +751,11 @@ class Residuals(NamedTuple):
         # Of the prediction: of what was measured, any factor below 1 on it would leave less of what differs.
         spectra, common = stack.common_bands(stack.observed - self.values)
         if common.size and len(spectra) > common.shape[1]:
-            parts = [some.posterior(name) for name, some in common_and_individual(common, self.of(spectra)).items()]
+            parts = [some.posterior(name) for name, some in common_and_individual(common, self.subset(spectra)).items()]
         out = [replace(self.posterior(ALL), parts=tuple(parts)), *parts]
         subjects = [s for s in dict.fromkeys(b.subject for b in stack.blocks) if any(fnmatchcase(s, p) for p in each)]
-        named = stack.named("subject")  # with the background seen through its filter
-        out += [self.of(np.flatnonzero(np.isin(named, [s, background_of(s)]))).posterior(s) for s in subjects]
+        named = stack.entry_labels("subject")  # with the background seen through its filter
+        out += [self.subset(np.flatnonzero(np.isin(named, [s, background_of(s)]))).posterior(s) for s in subjects]
         return [replace(r, level=ENOUGH / len(out)) for r in out]
 
 
@@ -777,11 +779,11 @@ def common_and_individual(common: Array, residuals: Residuals) -> dict[str, Resi
     out = {}
     for name, m, c in ((COMMON, estimate, spread), (DIFFERENT, rest.T, rest.T @ residuals.covariance @ rest)):
         moved = {candidate: m @ g for candidate, g in residuals.columns.items()}
-        kept = {k: g for k, g in moved.items() if _moves(g, residuals.columns[k])}
+        kept = {k: g for k, g in moved.items() if _is_moved(g, residuals.columns[k])}
         out[name] = Residuals(m @ residuals.values, c, kept, m @ residuals.wide)
     return out
 
 
-def _moves(part: Array, whole: Array) -> bool:
+def _is_moved(part: Array, whole: Array) -> bool:
     """Whether a change in some residuals is more than rounding beside that in all of them."""
     return bool(np.max(np.abs(part), initial=0.0) > 1e-9 * np.max(np.abs(whole), initial=0.0))

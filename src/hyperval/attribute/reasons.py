@@ -22,14 +22,14 @@ from hyperval.attribute.candidates import (
     HEIGHTS,
     SINGLE_BANDS,
     Candidate,
-    arms_of,
+    arm_masks,
+    entry_candidates,
     every_input,
-    exchanged_entries,
     further_candidates,
     rarer_candidates,
 )
 from hyperval.attribute.posterior import ALL, NONE, NOTHING, Posterior, Residuals, Whitened
-from hyperval.attribute.residuals import LIT, POINTS, SPECTRUM_FLOOR, Quantity, Stack, quantities, stack_of
+from hyperval.attribute.residuals import POINTS, RADIOMETRIC, SPECTRUM_FLOOR, Quantity, Stack, quantities, stack_of
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
 from hyperval.compare.rows import named, row, scientific
@@ -101,7 +101,7 @@ class ScenarioModel:
     exchanges: Mapping[str, tuple[Mapping[Any, Mapping[str, Any]], str]] = field(default_factory=dict)
     looked_for: Mapping[str, Any] = field(default_factory=dict)
 
-    def assuming(self, scenarios: Sequence[Scenario]) -> Products:
+    def predict_scenarios(self, scenarios: Sequence[Scenario]) -> Products:
         """Products of other scenarios."""
         return next(self.predict(scenarios, [[{} for _ in scenarios]], True))
 
@@ -114,32 +114,31 @@ class Causes:
     ----------
     stack : what is explained, as a vector
     predicted, numbers : the same with nothing moved, as a vector and as single numbers
-    of_spectra : errors that are linear in the spectra at a level (n,)
-    of_files : entries of a scenario's file that stand in each other's place, where all that is made of them moves too
+    spectral_errors : errors that are linear in the spectra at a level (n,)
+    entry_effects : entries of a scenario's file exchanged, where all that is made of them moves too
     rarer : what is looked for where little else explains a change, one after the other: heights; of many scenarios what
         few have in ``columns``, which takes runs of the engine; then the rest
     residuals : observed minus predicted, with everything that is budgeted in their covariance
     ends : numbers with an input one unit up and down
     evaluate : asks the model again
-    mistaken : what is measured now, less what is measured with a mistake in the image
-    exchanged : of what is measured, what :attr:`ScenarioModel.exchanges` has in each other's place, and an offset in
-        one arm
+    mistake_effect : what is measured now, less what is measured with a mistake in the image
+    exchange_effects : of what is measured, the exchanges of :attr:`ScenarioModel.exchanges`, and an offset in one arm
     """
 
     stack: Stack
     predicted: Array
     numbers: Numbers
-    of_spectra: Callable[[Array], dict[Candidate, Array]]
-    of_files: Callable[[], dict[Candidate, Array]]
+    spectral_errors: Callable[[Array], dict[Candidate, Array]]
+    entry_effects: Callable[[], dict[Candidate, Array]]
     rarer: Sequence[Callable[[], dict[Candidate, Array]]]
     residuals: Residuals
     ends: Ends
     evaluate: Evaluate
-    mistaken: Callable[[Mapping[str, Any]], Array]
-    exchanged: Callable[[], dict[Candidate, Array]]
+    mistake_effect: Callable[[Mapping[str, Any]], Array]
+    exchange_effects: Callable[[], dict[Candidate, Array]]
 
-    def standing(self) -> tuple[Residuals, Posterior]:
-        """What explains the residuals, which are told with it; where no single cause is enough, a height, if that is.
+    def explain_residuals(self) -> tuple[Residuals, Posterior]:
+        """The residuals and what explains them; where no single cause is sufficient, a height where that is.
 
         >>> from hyperval.attribute import ResidualBlock
         >>> gain, height = (Candidate(name, "scene", "1 km", False) for name in ("gain", "height"))
@@ -148,7 +147,7 @@ class Causes:
         ...     columns, further = {gain: one[:, :1]}, [lambda: {height: one[:, 1:2]}]
         ...     residuals = Residuals(residual, one, columns, 0.1 * one[:, 4:])
         ...     return Causes(stack, np.zeros(20), {}, dict, dict, further, residuals, {}, len, None, dict)
-        >>> [[f.name for f in causes(30.0 * one[i]).standing()[1].best.causes] for i in (0, 1)]
+        >>> [[f.name for f in causes(30.0 * one[i]).explain_residuals()[1].best.causes] for i in (0, 1)]
         [['gain'], ['height']]
 
         A size that was asked for beside it stays known:
@@ -157,33 +156,30 @@ class Causes:
         >>> asked = lambda truths, title, budgeted: [truth["km"] * one[0] for (truth,) in truths]
         >>> tried = replace(causes(0.0), evaluate=asked)
         >>> case = Residuals(3.0 * one[0] + 30.0 * one[1], one, {gain: np.outer(one[0], gain.sizes)}, 0.1 * one[:, 4:])
-        >>> found = replace(tried, residuals=case).standing()[0].columns
+        >>> found = replace(tried, residuals=case).explain_residuals()[0].columns
         >>> [len(one.sizes) == made.shape[1] > 2 for one, made in found.items()]
         [True]
         """
-        everything = np.arange(self.predicted.size)
-
-        def explained(columns: Mapping[Candidate, Array]) -> tuple[Residuals, Posterior]:
-            return self.explained(self.residuals._replace(columns=columns), everything, self.predicted, True)
+        explain = partial(self.explain, rows=np.arange(self.predicted.size), level=self.predicted, noisy=True)
 
         def is_enough(found: Posterior) -> bool:
-            return found.first == NOTHING or (found.enough and len(found.best.causes) == 1)
+            return found.first_cause == NOTHING or (found.is_sufficient and len(found.best.causes) == 1)
 
-        residuals, found = explained(self.residuals.columns)
+        residuals, found = explain(self.residuals)
         heights = {} if is_enough(found) else self.rarer[0]()
-        if heights and is_enough((wider := explained({**residuals.columns, **heights}))[1]):
+        if heights and is_enough((wider := explain(residuals._replace(columns={**residuals.columns, **heights})))[1]):
             return wider
         return residuals, found
 
     def sides(self) -> dict[str, tuple[str, str, str]]:
         """Of each quantity the bands, what is observed and what is predicted, to six digits."""
         out = {}
-        for block, i in self.stack.placed():
+        for block, i in self.stack.with_slices():
             observed, predicted = (" ".join(f"{x:.6g}" for x in side) for side in (block.observed, self.predicted[i]))
             out[block.quantity] = (" ".join(map(str, self.stack.bands[i])), observed, predicted)
         return out
 
-    def changed(self, texts_of: Mapping[str, Sequence[str]], *, simulated: bool) -> Posterior | None:
+    def explain_since(self, texts_of: Mapping[str, Sequence[str]], *, simulated: bool) -> Posterior | None:
         """What explains the change since a run with the sides ``texts_of``; None where both share no quantity.
 
         What is less than its uncertainty and is not explained is nothing to explain.  Else the same data and the same
@@ -204,15 +200,15 @@ class Causes:
         ...     rarer = of.get("rarer", ())
         ...     residuals = Residuals(np.zeros(n), 1e-6 * np.eye(n), {}, np.eye(n))
         ...     return Causes(stack, np.zeros(n), {}, lambda level: none, lambda: files, rarer, residuals,
-        ...                   {}, asked, of.get("mistaken"), lambda: none)
+        ...                   {}, asked, of.get("mistake_effect"), lambda: none)
         >>> exchanged = Candidate("spectra of targets in the file", "scene", "", False, labels=("red and green",))
         >>> tried = causes(block("scores", 0.1, 0.9), block("roc", -4.0), files={exchanged: np.c_[[0.8, -0.6, -9.0]]})
         >>> texts = {"scores of paint cem": ("-1 -2", "0.5 0.4", "0.8 -0.6"), "roc of paint cem": ("-1", "-4", "2.0")}
-        >>> found = tried.changed(texts, simulated=False)
-        >>> found.first, found.enough
+        >>> found = tried.explain_since(texts, simulated=False)
+        >>> found.first_cause, found.is_sufficient
         ('spectra of targets in the file', True)
         >>> texts = {"scores of paint cem": ("-1 -2", "0.10001 0.9", "0 1e-05"), "roc of paint cem": ("-1", "-4", "0")}
-        >>> tried.changed(texts, simulated=False).first
+        >>> tried.explain_since(texts, simulated=False).first_cause
         'nothing to explain'
 
         Targets are looked for two pixels away at first, where one pixel may show nothing, then beside the best:
@@ -221,8 +217,8 @@ class Causes:
         ...     by = np.array([mistake.get("lines", 0), mistake.get("samples", 0)])
         ...     return (np.hypot(3, 2) - np.hypot(*(by - [3, 2]))) * np.array([0.1, 0.0]) * np.any(np.abs(by) > 1)
         >>> texts = {"scores of paint cem": ("-1 -2", f"{0.1 - 0.1 * 13**0.5} 0.9", "0 0")}
-        >>> found = causes(block("scores", 0.1, 0.9), mistaken=at).changed(texts, simulated=False)
-        >>> found.first, found.best.causes[0].in_words
+        >>> found = causes(block("scores", 0.1, 0.9), mistake_effect=at).explain_since(texts, simulated=False)
+        >>> found.first_cause, found.best.causes[0].description
         ('position of the target regions', '+3 lines, +2 samples')
 
         An atmosphere that explains a change is told by the engine itself, not by its emulator:
@@ -231,7 +227,7 @@ class Causes:
         >>> texts = {"scores of paint cem": ("-1 -2 -3", "0.1 0.9 0.4", "0.5 -0.3 0.2")}
         >>> tried = causes(block("scores", 0.1, 0.9, 0.4), rarer=[lambda: {air: np.c_[[0.45, -0.33, 0.2]]}],
         ...                evaluate=lambda truths, title, budgeted: [np.array([0.5, -0.3, 0.2]) * budgeted])
-        >>> tried.changed(texts, simulated=False).enough
+        >>> tried.explain_since(texts, simulated=False).is_sufficient
         True
 
         Regions that alone moved are looked for elsewhere, and two of them in each other's place:
@@ -240,10 +236,10 @@ class Causes:
         ...     return ResidualBlock("radiance", name, "", np.full(3, level), 1e-6 * np.eye(3), len, np.arange(3))
         >>> texts = {f"radiance of {name}": ("0 1 2", "0.4 0.5 0.6", "0 0 0") for name in ("red", "green", "lot")}
         >>> texts["radiance of lot"] = ("0 1 2", "0.7 0.7 0.7", "0 0 0")
-        >>> tried = causes(light("red", 0.2), light("green", 0.1), light("lot", 0.7), mistaken=lambda mistake:
+        >>> tried = causes(light("red", 0.2), light("green", 0.1), light("lot", 0.7), mistake_effect=lambda mistake:
         ...                asked.append(mistake) or np.zeros(9))
         >>> asked = []
-        >>> tried.changed(texts, simulated=False).first, len(asked), asked[0]
+        >>> tried.explain_since(texts, simulated=False).first_cause, len(asked), asked[0]
         ('none of these', 40, {'exchanged': ['red', 'green']})
         >>> asked[1], asked[32]["lines"]
         ({'lines': -2, 'samples': -2, 'regions': True, 'still': ['lot']}, -6)
@@ -256,29 +252,31 @@ class Causes:
         >>> noise = 1e-6 * np.eye(2)
         >>> two = [ResidualBlock("scores", n, "cem", np.array([0.4, 0.9]), noise, len) for n in ("red", "lot")]
         >>> texts = {"scores of red cem": ("-1 -2", "0.1 0.9", "0 0"), "scores of lot cem": ("-1 -2", "0.4 0.9", "0 0")}
-        >>> found = causes(*two, mistaken=lost).changed(texts, simulated=False)
-        >>> found.first, found.best.causes[0].in_words, found.enough
+        >>> found = causes(*two, mistake_effect=lost).explain_since(texts, simulated=False)
+        >>> found.first_cause, found.best.causes[0].description, found.is_sufficient
         ('position of the target regions beyond some line', '-5 lines, +0 samples from 5/8 of the image on', True)
 
         Scores that moved by some thousandths are no rounding:
 
         >>> texts = {"scores of paint cem": ("-1 -2 -3", "0.1 0.9 0.4", "0.003 -0.002 0.001")}
         >>> fill = {Candidate("fill fraction", "scene", "", False): np.c_[[0.003, -0.002, 0.001]]}
-        >>> causes(block("scores", 0.1, 0.9, 0.4), rarer=[lambda: fill]).changed(texts, simulated=False).first
+        >>> tried = causes(block("scores", 0.1, 0.9, 0.4), rarer=[lambda: fill])
+        >>> tried.explain_since(texts, simulated=False).first_cause
         'fill fraction'
 
         Spectra that hardly moved do not hide scores that did:
 
         >>> texts = {"radiance of red": ("0 1 2", "0.4 0.4 0.4", "0 0 0"), "scores of paint cem": ("-1", "0.9", "0.0")}
-        >>> tried = causes(light("red", 0.40005), block("scores", 0.1), mistaken=lambda mistake: np.zeros(4))
-        >>> tried.changed(texts, simulated=False).first
+        >>> tried = causes(light("red", 0.40005), block("scores", 0.1), mistake_effect=lambda mistake: np.zeros(4))
+        >>> tried.explain_since(texts, simulated=False).first_cause
         'none of these'
 
         A band that held nothing in the accepted run has no part by which it moved:
 
         >>> spectrum = ResidualBlock("radiance", "paint", "", np.full(3, 0.4), 1e-6 * np.eye(3), len, np.arange(3))
         >>> texts = {"radiance of paint": ("0 1 2", "0 0.4 0.4", "0 0 0")}
-        >>> causes(spectrum, mistaken=lambda mistake: np.zeros(3)).changed(texts, simulated=False).first
+        >>> tried = causes(spectrum, mistake_effect=lambda mistake: np.zeros(3))
+        >>> tried.explain_since(texts, simulated=False).first_cause
         'none of these'
 
         What is rarer is asked one after the other, until one cause suffices:
@@ -287,18 +285,18 @@ class Causes:
         ...     return lambda: asked.append(name) or {Candidate(name, "scene", "", False): np.c_[column]}
         >>> texts, asked = {"scores of paint cem": ("-1 -2 -3", "0.1 0.9 0.4", "0.5 0.2 0.1")}, []
         >>> three = [rarer("haze", [1.0, 9.0, 1.0]), rarer("date", [0.5, 0.2, 0.1]), rarer("sun", [1.0, 0.0, 0.0])]
-        >>> found = causes(block("scores", 0.1, 0.9, 0.4), rarer=three).changed(texts, simulated=False)
-        >>> found.first, found.enough, asked
+        >>> found = causes(block("scores", 0.1, 0.9, 0.4), rarer=three).explain_since(texts, simulated=False)
+        >>> found.first_cause, found.is_sufficient, asked
         ('date', True, ['haze', 'date'])
 
         And none of it where there is nothing to explain:
 
         >>> tried, none = causes(block("scores", 0.1, 0.9, 0.4), rarer=three), np.zeros(3)
-        >>> tried.or_rarer(none, np.arange(3), none + 1.0, {}).first, asked
+        >>> tried.explain_with_rarer(none, np.arange(3), none + 1.0, {}).first_cause, asked
         ('nothing to explain', ['haze', 'date'])
         """
         sides = {name: [np.array(text.split(), dtype=float) for text in texts] for name, texts in texts_of.items()}
-        shared = self.stack.shared_with({name: bands for name, (bands, *_) in sides.items()})
+        shared = self.stack.shared_entries({name: bands for name, (bands, *_) in sides.items()})
         if not shared:
             return None
         rows = np.concatenate([part for _, part, _ in shared])
@@ -306,137 +304,138 @@ class Causes:
         moved, of_model = change = np.array([self.stack.observed[rows] - observed, predicted - self.predicted[rows]])
         scale = np.maximum(np.abs([observed, predicted]), self.stack.bands[rows] < 0)  # scores: written to digits of 1
         same = np.all(np.abs(change) <= AS_WRITTEN * scale)
-        posterior = None if same else self._change(moved, of_model, rows, observed, predicted, simulated)
+        posterior = None if same else self._explain_moves(moved, of_model, rows, observed, predicted, simulated)
         size = Whitened(moved + of_model, self.residuals.covariance[np.ix_(rows, rows)]).chi_square
-        if posterior is not None and (size > 1.0 or posterior.enough):
+        if posterior is not None and (size > 1.0 or posterior.is_sufficient):
             return posterior
-        return Posterior.of_nothing(rows.size)
+        return Posterior.for_zero_residuals(rows.size)
 
-    def _change(
+    def _explain_moves(
         self, moved: Array, of_model: Array, rows: Index, observed: Array, predicted: Array, simulated: bool
     ) -> Posterior:
         """What explains that the entries ``rows`` moved from what was ``observed`` and ``predicted``."""
         spectral, level, columns = self.stack.bands >= 0, self.predicted.copy(), self.residuals.columns
         if np.any(np.abs(moved) > UNMOVED * np.abs(observed), where=spectral[rows]):
             level[rows] = np.where(spectral[rows], observed, predicted)
-            light = (spectral | (self.stack.named("product") == "snr"))[rows]
+            light = (spectral | (self.stack.entry_labels("product") == "snr"))[rows]
             all_rows, change, rows, moved = rows, moved, rows[light], moved[light]
             # No field spectrum, which could make anything, has moved what was measured.
-            can = (c for c in columns if c.kind == "sensor" or (simulated and not c.makes_anything))
-            columns = {c: self.beside(level, columns[c]) for c in can}
-            columns |= self.of_spectra(level) | self.stack.single(level)
+            can = (c for c in columns if c.kind == "sensor" or (simulated and not c.fits_any_spectrum))
+            columns = {c: self.scale_to_level(level, columns[c]) for c in can}
+            columns |= self.spectral_errors(level) | self.stack.subject_errors(level)
             if len(displaced := self._moved_subjects(moved, rows, level)[0]) == 2:
                 one = Candidate("exchanged regions", "scene", "", False, labels=(" and ".join(displaced),))
-                columns[one] = self.mistaken({"exchanged": displaced})[:, None]
-            if simulated and (by_setting := self.or_rarer(moved, rows, level, columns)).enough:
+                columns[one] = self.mistake_effect({"exchanged": displaced})[:, None]
+            if simulated and (by_setting := self.explain_with_rarer(moved, rows, level, columns)).is_sufficient:
                 return by_setting
-            found = self.or_displaced(moved, rows, level, columns, regions=True)
-            if simulated and found.first == NONE:  # a new simulation has other noise, and scores too
-                each = (self.of_inputs, *(more() for more in self.rarer))
+            found = self.explain_displaced(moved, rows, level, columns, True)
+            if simulated and found.first_cause == NONE:  # a new simulation has other noise, and scores too
+                each = (self.input_columns, *(more() for more in self.rarer))
                 inputs = {replace(c, unbounded=True): g[all_rows] for columns in each for c, g in columns.items()}
-                residuals = self.residuals.of(all_rows)._replace(values=change, columns=inputs)
-                _, noisy = self.explained(residuals, all_rows, self.predicted, True)
-                return replace(noisy, beside_noise=True) if noisy.enough else found
-            if found.first != NOTHING:  # else scores moved, and spectra hardly did
+                residuals = self.residuals.subset(all_rows)._replace(values=change, columns=inputs)
+                _, noisy = self.explain(residuals, all_rows, self.predicted, True)
+                return replace(noisy, beside_noise=True) if noisy.is_sufficient else found
+            if found.first_cause != NOTHING:  # else scores moved, and spectra hardly did
                 return found
             rows, moved, level = all_rows, change, self.predicted.copy()
         of_scores = bool(np.any(np.abs(of_model) > CHANGE_FLOOR, where=~spectral[rows]))
         is_measured = bool(np.any(np.abs(moved) > CHANGE_FLOOR))
         # A wrong entry moves filters, and all that follows from them, on both sides; false alarms are read at
         # measured thresholds.
-        alone = (self.stack.named("product")[rows] != "roc") | (not is_measured)
-        if of_scores and (entry := self.explained_change(of_model[alone], rows[alone], level, self.of_files())).enough:
-            return entry
+        alone = (self.stack.entry_labels("product")[rows] != "roc") | (not is_measured)
+        by_entry = self.explain_change(of_model[alone], rows[alone], level, self.entry_effects()) if of_scores else None
+        if by_entry and by_entry.is_sufficient:
+            return by_entry
         if is_measured:
             steps = dict[Candidate, Array]()
             for name, step, key, unit, sizes in CAUSES["image"]:
-                effects = np.column_stack([self.mistaken({key: unit * z}) for z in sizes])
+                effects = np.column_stack([self.mistake_effect({key: unit * z}) for z in sizes])
                 steps[Candidate(name, "sensor", step, False, sizes=tuple(sizes))] = effects
-            if (by_data := self.or_displaced(moved, rows, level, steps, regions=False)).first not in (NONE, NOTHING):
+            if (by_data := self.explain_displaced(moved, rows, level, steps, False)).first_cause not in (NONE, NOTHING):
                 return by_data
-        return self.or_rarer(moved + of_model, rows, level, self.of_inputs)
+        return self.explain_with_rarer(moved + of_model, rows, level, self.input_columns)
 
     @property
-    def of_inputs(self) -> dict[Candidate, Array]:
+    def input_columns(self) -> dict[Candidate, Array]:
         """What may have moved a prediction: no pixel has moved."""
         return {c: g for c, g in self.residuals.columns.items() if c.kind != "region"}
 
-    def or_rarer(self, moved: Array, rows: Index, level: Array, columns: Columns) -> Posterior:
+    def explain_with_rarer(self, moved: Array, rows: Index, level: Array, columns: Columns) -> Posterior:
         """What explains a change; where no single cause suffices, rarer candidates are tried too."""
-        found = self.explained_change(moved, rows, level, columns)
+        found = self.explain_change(moved, rows, level, columns)
         for more in self.rarer:
-            if found.first == NOTHING or (found.enough and len(found.best.causes) == 1):
+            if found.first_cause == NOTHING or (found.is_sufficient and len(found.best.causes) == 1):
                 break
             if further := more():
                 columns = {**columns, **further}
-                found = self.explained_change(moved, rows, level, columns)
+                found = self.explain_change(moved, rows, level, columns)
         return found
 
-    def or_displaced(self, moved: Array, rows: Index, level: Array, columns: Columns, *, regions: bool) -> Posterior:
+    def explain_displaced(self, moved: Array, rows: Index, level: Array, columns: Columns, regions: bool) -> Posterior:
         """What explains a change; where nothing does, regions and targets displaced by some pixels, measured again."""
-        found = self.explained_change(moved, rows, level, columns)
-        if found.first == NONE and (exchanged := self.exchanged()):
+        found = self.explain_change(moved, rows, level, columns)
+        if found.first_cause == NONE and (exchanged := self.exchange_effects()):
             columns = {**columns, **exchanged}
-            found = self.explained_change(moved, rows, level, columns)
-        displaced, unmoved = self._moved_subjects(moved, rows, level)
+            found = self.explain_change(moved, rows, level, columns)
+        displaced, still = self._moved_subjects(moved, rows, level)
         effects, nearest = dict[tuple[int, int], Array](), (0, 0)
-        where = f"regions {', '.join(displaced)}" if regions and unmoved else "regions" if regions else "target regions"
-        for _ in range(MOST_PIXELS if found.first == NONE else 0):
+        where = f"regions {', '.join(displaced)}" if regions and still else "regions" if regions else "target regions"
+        for _ in range(MOST_PIXELS if found.first_cause == NONE else 0):
             reach = (-1, 0, 1) if effects else (-2, -1, 0, 1, 2)
             around = [(nearest[0] + i, nearest[1] + j) for i, j in product(reach, repeat=2)]
             around += [] if effects else _FARTHER
             for i, j in around:
                 if (i, j) not in effects and (i, j) != (0, 0):
-                    effects[i, j] = self.mistaken({"lines": i, "samples": j, "regions": regions, "still": unmoved})
+                    effects[i, j] = self.mistake_effect({"lines": i, "samples": j, "regions": regions, "still": still})
             labels = tuple(f"{i:+d} lines, {j:+d} samples" for i, j in effects)
             place = Candidate(f"position of the {where}", "scene", "", False, labels=labels)
-            found = self.explained_change(moved, rows, level, {**columns, place: np.column_stack([*effects.values()])})
+            found = self.explain_change(moved, rows, level, {**columns, place: np.column_stack([*effects.values()])})
             best = next((f for f in found.fits if f.candidate == place), None)
             before, nearest = nearest, list(effects)[int(best.amplitudes[0])] if best else nearest
-            if found.enough or nearest == before:
+            if found.is_sufficient or nearest == before:
                 break
-        if effects and found.first == NONE:  # lost lines displace some of them: by the entries that moved most
+        if effects and found.first_cause == NONE:  # lost lines displace some of them: by the entries that moved most
             size = np.where(self.stack.bands[rows] < 0, 1.0, np.abs(level[rows]) + np.abs(moved) + 1e-12)
             most = np.abs(moved) > 0.1 * size * np.max(np.abs(moved / size))
             i, j = min(effects, key=lambda shift: float(np.sum(((moved - effects[shift][rows]) / size)[most] ** 2)))
             lost = {f"{i:+d} lines, {j:+d} samples from {n}/8 of the image on": n / 8.0 for n in range(1, 8)}
             mistake = {"lines": i, "samples": j, "regions": regions}
-            moves = [self.mistaken({**mistake, "beyond": part}) for part in lost.values()]
+            moves = [self.mistake_effect({**mistake, "beyond": part}) for part in lost.values()]
             what = f"position of the {'' if regions else 'target '}regions beyond some line"
             one = Candidate(what, "scene", "", False, labels=tuple(lost))
-            found = self.explained_change(moved, rows, level, {**columns, one: np.column_stack(moves)})
+            found = self.explain_change(moved, rows, level, {**columns, one: np.column_stack(moves)})
         return found
 
     def _moved_subjects(self, moved: Array, rows: Index, level: Array) -> tuple[list[str], list[str]]:
         """Subjects whose measured radiance moved from ``level``, and those whose did not."""
         # Reflectance follows the empirical line, which is fitted to other regions.
-        light = np.isin(self.stack.named("product")[rows], LIT)
+        light = np.isin(self.stack.entry_labels("product")[rows], RADIOMETRIC)
         light = light if light.any() else self.stack.bands[rows] >= 0
-        subjects, off = self.stack.named("subject")[rows], np.abs(moved) > UNMOVED * np.abs(level[rows])
+        subjects, off = self.stack.entry_labels("subject")[rows], np.abs(moved) > UNMOVED * np.abs(level[rows])
         displaced = list(dict.fromkeys(subjects[light & off].tolist()))
         return displaced, [name for name in dict.fromkeys(subjects[light].tolist()) if name not in displaced]
 
-    def explained_change(self, moved: Array, rows: Index, level: Array, columns: Columns) -> Posterior:
+    def explain_change(self, moved: Array, rows: Index, level: Array, columns: Columns) -> Posterior:
         """What explains a change (k,) of the entries ``rows``, beside ``level`` (m,).
 
         Its variance is that of rounding, and of the error of effects that were evaluated at another level.
         """
         variance, change = np.zeros(level.size), np.zeros(level.size)
         change[rows] = moved
-        for block, i in self.stack.placed():
+        for block, i in self.stack.with_slices():
             size, floor = (np.abs(level[i]), SPECTRUM_FLOOR) if block.bands is not None else (np.ones(1), CHANGE_FLOOR)
             size = size.clip(1e-3 * size.max() + 1e-12)
             variance[i] = size**2 * (floor**2 + OFF**2 * np.mean((change[i] / size) ** 2))
         near = {replace(c, unbounded=True): g[rows] for c, g in columns.items() if np.any(g[rows])}
         residuals = Residuals(moved, np.diag(variance[rows]), near, self.residuals.wide[rows])
-        return self.explained(residuals, rows, level, False)[1]
+        return self.explain(residuals, rows, level, False)[1]
 
-    def beside(self, level: Array, change: Array) -> Array:
-        """A change (n,) or (n, k) of the prediction, of spectra of ``level`` (n,) the same part."""
+    def scale_to_level(self, level: Array, change: Array) -> Array:
+        """A change (n,) or (n, k) of the prediction, that of spectra scaled to ``level`` (n,)."""
         spectral = self.stack.bands >= 0
         return np.asarray((change.T * np.divide(level, self.predicted, np.ones(level.size), where=spectral)).T)
 
-    def explained(self, residuals: Residuals, rows: Index, level: Array, noisy: bool) -> tuple[Residuals, Posterior]:
+    def explain(self, residuals: Residuals, rows: Index, level: Array, noisy: bool) -> tuple[Residuals, Posterior]:
         """What explains residuals of the entries ``rows``: between sizes the model is interpolated, and asked at those
         that are found, of a change by the engine itself; the residuals with those.
         """
@@ -451,10 +450,10 @@ class Causes:
             labels = {f.candidate: float(f.amplitudes[0]) for f in named if f.candidate.labels}
             sizes |= {c: i for c, i in labels.items() if c.kind == ATMOSPHERE and not noisy and (c, i) not in exact}
             evaluate = partial(self.evaluate, budgeted=not noisy)
-            more = _asked(evaluate, [c.at(0, a) for c, a in sizes.items()]) if last and sizes else []
+            more = _evaluate(evaluate, [c.truths(0, a) for c, a in sizes.items()]) if last and sizes else []
             for (c, a), side in zip(sizes.items(), more, strict=False):
                 if side is not None:
-                    change = self.beside(level, side - self.predicted)[rows]
+                    change = self.scale_to_level(level, side - self.predicted)[rows]
                     if c.labels:
                         exact.add((c, a))
                         columns[c] = np.where(np.arange(len(c.labels)) == a, change[:, None], columns[c])
@@ -465,24 +464,24 @@ class Causes:
         return residuals, found
 
 
-def _asked(evaluate: Evaluate, truths: Sequence[Truths]) -> list[Array | None]:
+def _evaluate(evaluate: Evaluate, truths: Sequence[Truths]) -> list[Array | None]:
     """What the model says; None of what cannot be, such as a sun below the horizon, or is not on this machine.
 
     >>> def evaluate(truths, title):
     ...     if "kurucz" in truths:
     ...         raise MissingDataError("the solar spectrum 'kurucz' is not on this machine")
     ...     return [np.zeros(1) for _ in truths]
-    >>> [side is not None for side in _asked(evaluate, ["tsis-1", "kurucz", "astm-g173"])]
+    >>> [side is not None for side in _evaluate(evaluate, ["tsis-1", "kurucz", "astm-g173"])]
     [True, False, True]
     """
     try:
         return [*evaluate(truths, "attribution: larger errors")]
     except (UsageError, EngineError, MissingDataError):
         half = len(truths) // 2
-        return [*_asked(evaluate, truths[:half]), *_asked(evaluate, truths[half:])] if half else [None]
+        return [*_evaluate(evaluate, truths[:half]), *_evaluate(evaluate, truths[half:])] if half else [None]
 
 
-def causes_of(model: ScenarioModel) -> Causes:
+def collect_causes(model: ScenarioModel) -> Causes:
     """Everything that may have made a difference, each as a change of what is compared.
 
     Raises
@@ -504,13 +503,13 @@ def causes_of(model: ScenarioModel) -> Causes:
     >>> def causes(lines):
     ...     scenarios = [stated.model_copy(update={"name": f"line {i}"}) for i in range(lines)]
     ...     asked = predict, side, side, None
-    ...     return causes_of(ScenarioModel(scenarios, [world] * lines, *asked, looked_for={"green plank": 0.3}))
+    ...     return collect_causes(ScenarioModel(scenarios, [world] * lines, *asked, looked_for={"green plank": 0.3}))
     >>> [[c.name for c in causes(n).rarer[2]() if c.name.startswith("wavelength shift in")] for n in (1, 2, 4)]
     [[], ['wavelength shift in line 0', 'wavelength shift in line 1'], []]
     >>> fraction = {"subject": stated.scene.classes[0].name, "absolute": 0.002}
     >>> tight = stated.with_values({"uncertainty.fractions": [fraction]})
     >>> model = ScenarioModel([tight], [read_world(tight)], predict, side, side, None)
-    >>> (only,) = (c for c in causes_of(model).residuals.columns if c.budgeted)
+    >>> (only,) = (c for c in collect_causes(model).residuals.columns if c.budgeted)
     >>> [round(size) for size in only.sizes]  # of 0.002, at which 0.2 is asked where nothing is stated
     [10, -10, -50, 50]
 
@@ -520,17 +519,17 @@ def causes_of(model: ScenarioModel) -> Causes:
     ...     for (moved,) in truths:
     ...         off = sum(float(value.sum()) for path, value in moved.items() if path.startswith("fraction"))
     ...         yield replace(side, reflectance={"lawn": replace(lawn, mean=lawn.mean + off)})
-    >>> budget = causes_of(replace(model, predict=moves)).residuals.covariance
+    >>> budget = collect_causes(replace(model, predict=moves)).residuals.covariance
     >>> (1e6 * budget[0, :2]).round(2), round(2e2 + 4.0 - 1e2 / len(budget), 2), round(4.0 - 1e2 / len(budget), 2)
     (array([203.39,   3.39]), 203.39, 3.39)
-    >>> [one.labels[0] for one in causes(1).of_files()]
+    >>> [one.labels[0] for one in causes(1).entry_effects()]
     ['green plank: that looked for', 'asphalt: that of grass']
 
     A field spectrum is off by four smooth shapes, and in each band by itself:
 
     >>> grass = PredictedProducts(world.stated.axis, reflectance={"grass": lawn})
     >>> both = lambda scenarios, truths, budgeted: iter([grass] * len(truths))
-    >>> (made,) = (g for c, g in causes_of(ScenarioModel([stated], [world], both, grass, grass, None))
+    >>> (made,) = (g for c, g in collect_causes(ScenarioModel([stated], [world], both, grass, grass, None))
     ...            .residuals.columns.items() if c.name == "field spectrum of grass")
     >>> made.shape[1] - len(made)
     4
@@ -542,7 +541,7 @@ def causes_of(model: ScenarioModel) -> Causes:
     ...     for moved in truths:
     ...         yield replace(side, reflectance={"lawn": replace(lawn, mean=lawn.mean + 0.01 * sum(map(bool, moved)))})
     >>> for n in (3, 4):
-    ...     made = causes_of(ScenarioModel([lit] * n, [read_world(lit)] * n, asked, side, side, None))
+    ...     made = collect_causes(ScenarioModel([lit] * n, [read_world(lit)] * n, asked, side, side, None))
     ...     air = {c.name: g[0].round(9).tolist() for c, g in made.residuals.columns.items() if c.kind == ATMOSPHERE}
     ...     [air.get(name) for name in ("aerosol optical depth", "sunlight", "aerosol type")]
     ...     [c.sizes for c in made.residuals.columns if "depth" in c.name], [len(more()) for more in made.rarer[:2]]
@@ -563,18 +562,18 @@ def causes_of(model: ScenarioModel) -> Causes:
     >>> each = [(z, {"limit": x}) for z, x in limits.items()]
     >>> tried = {"limit": (dict(each[:2]), "0.05"), "entry": (dict(each[2:]), "")}
     >>> side = PredictedProducts(world.stated.axis, radiance={"lawn": lawn})
-    >>> found = causes_of(ScenarioModel([stated], [world], predict, side, side, observe, tried))
-    >>> for one, made in found.exchanged().items():
+    >>> found = collect_causes(ScenarioModel([stated], [world], predict, side, side, observe, tried))
+    >>> for one, made in found.exchange_effects().items():
     ...     print(one.name, one.sizes[:2], one.labels, made[[0, -1], 0].round(9).tolist())
     limit (-1.0,) () [-0.5, -0.5]
     entry () ('a for b',) [-0.7, -0.7]
     offset of 942-2470 nm (-20.0, -8.0) () [0.0, 0.2]
     offset of 395-936 nm (-20.0, -8.0) () [0.2, 0.0]
-    >>> gain = {c.name: g for c, g in found.of_spectra(found.predicted).items()}["sensor gain of 942-2470 nm"]
+    >>> gain = {c.name: g for c, g in found.spectral_errors(found.predicted).items()}["sensor gain of 942-2470 nm"]
     >>> (100.0 * gain[[0, -1], -1]).round(9).tolist()  # by 25 %
     [0.0, 5.0]
     """
-    base, observed, worlds = model.assuming(model.scenarios), model.observed, model.worlds
+    base, observed, worlds = model.predict_scenarios(model.scenarios), model.observed, model.worlds
     stack = stack_of(base, observed)
     refuse(not stack.blocks, "attribution.nothing")
     predicted = stack.predicted(base)
@@ -588,7 +587,7 @@ def causes_of(model: ScenarioModel) -> Causes:
     further = further_candidates(worlds)
     moved = every_input(worlds, further)
     steps = {
-        stated: [c.at(d, z) for c in moved if c.budgeted is stated for d in range(c.size) for z in (1.0, -1.0)]
+        stated: [c.truths(d, z) for c in moved if c.budgeted is stated for d in range(c.size) for z in (1.0, -1.0)]
         for stated in (True, False)
     }  # the order of the candidates
     found = chain.from_iterable(predictions(steps[stated], "attribution: inputs", stated) for stated in steps)
@@ -600,62 +599,63 @@ def causes_of(model: ScenarioModel) -> Causes:
         units[candidate] = 0.5 * (up - down)
         sides |= {(candidate, 1.0): up[:, 0], (candidate, -1.0): down[:, 0]}
     budget = sum((g @ g.T for c, g in units.items() if c.budgeted), np.zeros((predicted.size, predicted.size)))
-    covariance = stack.covariance + budget + stack.stated_beyond(model.budgeted, budget)
+    covariance = stack.covariance + budget + stack.excess_covariance(model.budgeted, budget)
     # Each atmospheric value takes an engine run per scenario: with many scenarios each input has one direction.
     many = len(worlds) > MOST_SCENARIOS
-    by_engine = [c for c in moved if many and c.of_engine and c.sizes]
+    by_engine = [c for c in moved if many and c.needs_engine and c.sizes]
     rare = [c for c in further if many and c.kind == ATMOSPHERE]
     by_name = {c.name: c for c in (*further, *moved) if c not in (*rare, *by_engine)}
     sampled = [c for c in by_name.values() if c.sizes or c.labels]
-    columns = {c: g for c, g in units.items() if not c.sizes} | _columns_at(sampled, sides, predicted, evaluate)
+    columns = {c: g for c, g in units.items() if not c.sizes} | _candidate_columns(sampled, sides, predicted, evaluate)
     for c in by_engine:
-        each = evaluate([c.alone(i, "").at(0, 1.0) for i in range(len(worlds))], "attribution: scenario by scenario")
+        truths = [c.for_scenario(i, "").truths(0, 1.0) for i in range(len(worlds))]
+        each = evaluate(truths, "attribution: scenario by scenario")
         columns[replace(c, sizes=())] = np.column_stack([side - predicted for side in each])
     for c in moved:  # each band of a field spectrum by itself too
         if c.kind == "surface" and not c.sizes and (name := c.name.removeprefix("field spectrum of ")) != c.name:
-            columns[c] = np.column_stack([columns[c], stack.of_subject(predicted, name)])
+            columns[c] = np.column_stack([columns[c], stack.subject_bands(predicted, name)])
     fractions = {c.name: c.fraction for s in model.scenarios for c in s.scene.classes}
     spectra = {b.product: getattr(base, b.product) for b in stack.blocks if b.bands is not None}.items()
     classes = {product: {n: s.mean for n, s in each.items() if n in fractions} for product, each in spectra}
-    arms = arms_of(worlds[0])
-    of_spectra = partial(_of_spectra, stack, classes, fractions, observed.axis.centre_nm)
-    columns |= of_spectra(predicted, {})
+    arms = arm_masks(worlds[0])
+    spectral_errors = partial(_spectral_errors, stack, classes, fractions, observed.axis.centre_nm)
+    columns |= spectral_errors(predicted, {})
     residuals = Residuals(stack.observed - predicted, covariance, columns, stack.unstructured(predicted))
-    of_files = partial(_columns_at, exchanged_entries(worlds, model.looked_for), {}, predicted, evaluate)
+    entry_effects = partial(_candidate_columns, entry_candidates(worlds, model.looked_for), {}, predicted, evaluate)
     rarer = rarer_candidates(worlds)
     if not many:  # candidates of several scenarios, in one of them
-        shared = [c for c in (*sampled, *rarer) if sum(map(bool, c.at(0, 0.0))) > 1]
-        rarer += [c.alone(i, s.name) for i, s in enumerate(model.scenarios) for c in shared]
+        shared = [c for c in (*sampled, *rarer) if sum(map(bool, c.truths(0, 0.0))) > 1]
+        rarer += [c.for_scenario(i, s.name) for i, s in enumerate(model.scenarios) for c in shared]
 
-    def mistaken(mistake: Mapping[str, Any], settings: Mapping[str, Any] = {}) -> Array:
+    def mistake_effect(mistake: Mapping[str, Any], settings: Mapping[str, Any] = {}) -> Array:
         try:
-            return stack.since(stack_of(base, model.observe(settings, mistake)))
+            return stack.difference_from(stack_of(base, model.observe(settings, mistake)))
         except HypervalError:  # not measurable so: panels that make no line, an empty region
             return np.zeros(predicted.size)
 
-    def exchanged() -> dict[Candidate, Array]:
+    def exchange_effects() -> dict[Candidate, Array]:
         out = dict[Candidate, Array]()
         for name, (variants, step) in model.exchanges.items():
-            effects = {z: effect for z, settings in variants.items() if np.any(effect := mistaken({}, settings))}
+            effects = {z: effect for z, settings in variants.items() if np.any(effect := mistake_effect({}, settings))}
             if effects:
                 sizes, labels = (tuple(effects), ()) if step else ((), tuple(effects))
                 one = Candidate(name, "scene", step, False, sizes=sizes, labels=labels)
                 out[one] = np.column_stack([*effects.values()])
         for where, arm in arms.items():  # the noise stays, so that the SNR of dark pixels moves too
             one = Candidate(f"offset of {where}", "sensor", "0.01 of the mean", False, sizes=_OFFSETS)
-            out[one] = np.column_stack([mistaken({"offset": 0.01 * z * arm}) for z in one.sizes])
+            out[one] = np.column_stack([mistake_effect({"offset": 0.01 * z * arm}) for z in one.sizes])
         return out
 
     heights = [c for c in rarer if c.name in HEIGHTS and not many]
     parts = heights, rare, [c for c in rarer if c not in heights]
-    asked = [cache(partial(_columns_at, candidates, {}, predicted, evaluate)) for candidates in parts]
+    asked = [cache(partial(_candidate_columns, candidates, {}, predicted, evaluate)) for candidates in parts]
     return Causes(
-        stack, predicted, quantities(base, observed), partial(of_spectra, arms=arms), of_files, asked,
-        residuals, ends, evaluate, mistaken, exchanged,
+        stack, predicted, quantities(base, observed), partial(spectral_errors, arms=arms), entry_effects, asked,
+        residuals, ends, evaluate, mistake_effect, exchange_effects,
     )  # fmt: skip
 
 
-def _columns_at(
+def _candidate_columns(
     candidates: Sequence[Candidate], sides: Sides, predicted: Array, evaluate: Evaluate
 ) -> dict[Candidate, Array]:
     """What candidates make at their sizes or by their alternatives, without what cannot be; some are known.
@@ -665,13 +665,13 @@ def _columns_at(
     ...         raise MissingDataError("the solar spectrum 'kurucz' is not on this machine")
     ...     return [np.zeros(1) for _ in truths]
     >>> sun = Candidate("solar spectrum", "atmosphere", "", False, (lambda _, label: label,), labels=("kurucz", "tsis"))
-    >>> (candidate,) = _columns_at([sun], {}, np.zeros(1), evaluate)
-    >>> candidate.labels, candidate.at(0, 0.0)
+    >>> (candidate,) = _candidate_columns([sun], {}, np.zeros(1), evaluate)
+    >>> candidate.labels, candidate.truths(0, 0.0)
     (('tsis',), ['tsis'])
     """
     places: dict[Candidate, Sequence[float]] = {c: c.sizes or range(len(c.labels)) for c in candidates}
     wanted = [(c, z) for c, sizes in places.items() for z in sizes if (c, z) not in sides]
-    asked = _asked(evaluate, [c.at(0, z) for c, z in wanted]) if wanted else []
+    asked = _evaluate(evaluate, [c.truths(0, z) for c, z in wanted]) if wanted else []
     found, out = {**sides, **dict(zip(wanted, asked, strict=True))}, {}
     for c, sizes in places.items():
         made = {z: side - predicted for z in sizes if (side := found[c, z]) is not None}
@@ -705,24 +705,24 @@ def attribute(
     ------
     UsageError : nothing that both sides hold, or a what-if that fits no scenario.
     """
-    causes = causes_of(model)
+    causes = collect_causes(model)
     stated = {c: ends for c, ends in causes.ends.items() if c.budgeted}
     outcomes = _what_ifs(model, causes, options.what_ifs)
-    ranked = causes.standing()[0].posteriors(causes.stack, options.each)
-    if accepted and (since := causes.changed(accepted[0], simulated=simulated)) is not None:
-        since = with_uncertainty(since, ranked[0].chi_square / ranked[0].dof, accepted[1])
+    ranked = causes.explain_residuals()[0].posteriors(causes.stack, options.each)
+    if accepted and (since := causes.explain_since(accepted[0], simulated=simulated)) is not None:
+        since = add_uncertainty_remark(since, ranked[0].chi_square / ranked[0].dof, accepted[1])
         ranked.append(replace(since, group=SINCE, level=ranked[0].level))
     rows = [item for group in ranked for item in _posterior_rows(group)]
-    rows += _rest_rows(causes, ranked[0])
+    rows += _remainder_rows(causes, ranked[0])
     measured = quantities(model.observed, model.observed)
     for quantity, value in causes.numbers.items():
-        shares = shares_of_variance(value, [(up[quantity], down[quantity]) for up, down in stated.values()])
+        shares = variance_shares(value, [(up[quantity], down[quantity]) for up, down in stated.values()])
         shares_of = dict(zip(stated, shares.tolist(), strict=True))
         rows += _sensitivity_rows(quantity, measured[quantity] - value, causes.ends, shares_of)
     return rows + outcomes
 
 
-def shares_of_variance(base: float, ends: Sequence[tuple[float, float]]) -> Array:
+def variance_shares(base: float, ends: Sequence[tuple[float, float]]) -> Array:
     """(k,) part of a quantity's variance that each of k inputs brings; NaN for a quantity without variance.
 
     Inputs are standard normal, and the quantity is the polynomial of degree two through the values: of
@@ -738,7 +738,7 @@ def shares_of_variance(base: float, ends: Sequence[tuple[float, float]]) -> Arra
     --------
     >>> f = lambda z, w: 3.0 * z + w**2
     >>> ends = [(f(1.0, 0.0), f(-1.0, 0.0)), (f(0.0, 1.0), f(0.0, -1.0))]
-    >>> (11.0 * shares_of_variance(f(0.0, 0.0), ends)).round(9).tolist(), shares_of_variance(1.0, [(1.0, 1 + 1e-13)])
+    >>> (11.0 * variance_shares(f(0.0, 0.0), ends)).round(9).tolist(), variance_shares(1.0, [(1.0, 1 + 1e-13)])
     ([9.0, 2.0], array([nan]))
     """
     alone = np.array([0.25 * (up - down) ** 2 + 0.5 * (up + down - 2.0 * base) ** 2 for up, down in ends])
@@ -746,14 +746,14 @@ def shares_of_variance(base: float, ends: Sequence[tuple[float, float]]) -> Arra
     return alone / (variance if variance > 1e-24 * (1.0 + base**2) else np.nan)
 
 
-def _of_spectra(
+def _spectral_errors(
     stack: Stack, classes: Classes, area: Mapping[str, float], centre_nm: Array, level: Array, arms: Mapping[str, Array]
 ) -> dict[Candidate, Array]:
     """Errors that are linear in the spectra that are compared: of single bands, of a smooth gain, of stray light ..."""
-    bands, mixed = stack.single_bands(level), stack.mixed(level, classes)
+    bands, mixed = stack.single_bands(level), stack.class_mixing(level, classes)
     gain, offset = (stack.pieces(level, centre_nm, KNOTS_NM, additive=additive) for additive in (False, True))
     gains, shared = gain.sum(axis=1), offset.sum(axis=1)
-    scene = stack.of_scene(classes, area, shared)
+    scene = stack.scene_mean(classes, area, shared)
     flat = np.where(gains != 0.0, np.mean(shared[gains != 0.0]), 0.0) if gains.any() else gains
     smooth, mean, part = f"{100 * SMOOTH_PART:g} % in smooth pieces", "0.01 of the mean radiance", "0.01 of the area"
     parts: list[tuple[str, str, str, tuple[float, ...], Array]] = [
@@ -761,7 +761,7 @@ def _of_spectra(
         ("smooth gain of the sensor", "sensor", smooth, (), SMOOTH_PART * gain),
         ("smooth offset of the sensor", "sensor", smooth, (), SMOOTH_PART * offset),
         ("stray light", "sensor", mean, (-5.0, 20.0), 0.01 * (scene - gains)),
-        ("stray light between wavelengths", "sensor", mean, (-5.0, 20.0), 0.01 * stack.levelled(level)),
+        ("stray light between wavelengths", "sensor", mean, (-5.0, 20.0), 0.01 * stack.spectral_stray_light(level)),
         ("constant offset of the sensor", "sensor", mean, (-5.0, 20.0), 0.01 * flat),
         *((name, "region", part, (-5.0, 50.0), change) for name, change in mixed.items()),
     ]
@@ -797,7 +797,7 @@ def scale_warnings(rows: Sequence[Result]) -> Iterator[str]:
             yield f"warning: every measured {quantity} is some {10.0**power:g} times the predicted one: {why}"
 
 
-def with_uncertainty(since: Posterior, now: float, then: float) -> Posterior:
+def add_uncertainty_remark(since: Posterior, now: float, then: float) -> Posterior:
     """A change, with a remark where numbers that are the same have another reduced chi-square than ``then``, if any."""
     other = then and abs(now / then - 1.0) > OFF
     words = f"check the stated uncertainty (reduced chi-square {now:.3g}, {then:.3g} in that run): "
@@ -807,21 +807,21 @@ def with_uncertainty(since: Posterior, now: float, then: float) -> Posterior:
 def _posterior_rows(r: Posterior) -> Iterator[Result]:
     """Rows of what explains one group of residuals, or a change.
 
-    >>> since = replace(Posterior.of_nothing(40), group=SINCE)
+    >>> since = replace(Posterior.for_zero_residuals(40), group=SINCE)
     >>> next(_posterior_rows(since)).reason
     'spectra, SNR, scores, and false alarms at 1e-2 and 1e-3 have not changed beyond their uncertainty'
-    >>> next(_posterior_rows(with_uncertainty(since, 2.0, 1.8))).reason[:77]
+    >>> next(_posterior_rows(add_uncertainty_remark(since, 2.0, 1.8))).reason[:77]
     'check the stated uncertainty (reduced chi-square 2, 1.8 in that run): spectra'
-    >>> with_uncertainty(since, 2.0, 2.0).remark, with_uncertainty(since, 2.0, 0.0).remark
+    >>> add_uncertainty_remark(since, 2.0, 2.0).remark, add_uncertainty_remark(since, 2.0, 0.0).remark
     ('', '')
     >>> next(_posterior_rows(replace(since, group=ALL, chi_square=40.0, p_value=0.47))).reason
     'nothing to explain: reduced chi-square 1 of 40 residuals (p = 0.47)'
     >>> lawn = replace(since, group="lawn", p_value=1e-9)
     >>> [str(next(_posterior_rows(replace(since, group=ALL, p_value=p, parts=(lawn,)))).outcome) for p in (1e-9, 0.47)]
     ['disagrees', 'none']
-    >>> from hyperval.attribute.posterior import Hypothesis, effect_of
+    >>> from hyperval.attribute.posterior import Hypothesis, build_effect
     >>> one = np.eye(2)[:, :1]
-    >>> a, b = (effect_of(Candidate(name, "sensor", "1 %", False), one).fit(9.0 * one[:, 0]) for name in "ab")
+    >>> a, b = (build_effect(Candidate(name, "sensor", "1 %", False), one).fit(9.0 * one[:, 0]) for name in "ab")
     >>> likely = {NOTHING: 0.0, NONE: 0.0, "a": 0.2, "b": 0.8}
     >>> both = Posterior(ALL, 81.0, 2, 0.0, (a, b), (Hypothesis((b,), 0.0, (0.1,)),), likely)
     >>> [(x.method, x.reason[:6]) for x in _posterior_rows(both) if x.metric == "probability" and x.reason]
@@ -830,14 +830,14 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
     True
     """
     # The test of all products together concludes too, and informs.
-    words = r.remark + UNCHANGED if r.group == SINCE and r.first == NOTHING else r.conclusion
+    words = r.remark + UNCHANGED if r.group == SINCE and r.first_cause == NOTHING else r.conclusion
     summary = row("reduced_chi_square", r.chi_square / r.dof, reason=words, n=r.dof)
-    if r.group != SINCE and (r.too_wide or r.p_value < r.level):
-        summary = replace(summary, outcome=Outcome.DISAGREES, cause=Cause.TOO_WIDE if r.too_wide else Cause.NONE)
+    if r.group != SINCE and (r.is_too_wide or r.p_value < r.level):
+        summary = replace(summary, outcome=Outcome.DISAGREES, cause=Cause.TOO_WIDE if r.is_too_wide else Cause.NONE)
     tests = [summary, row("p_value", r.p_value, n=r.dof)]
     if r.best.causes:
         why = "with " + " and ".join(x.name for x in r.best.causes) + " freed"
-        tests.append(row("p_value_explained", r.p_left, reason=why, n=r.dof))
+        tests.append(row("p_value_explained", r.remaining_p_value, reason=why, n=r.dof))
     yield from named(tests, "attribution", r.group, _EVERYTHING)
     for name in (NOTHING, NONE):
         yield from named([row("probability", r.probability[name], n=r.dof)], "attribution", r.group, name)
@@ -846,13 +846,13 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
         none, cause = ("", Cause.NONE) if item.candidate.budgeted else (" (none is stated)", Cause.NO_UNCERTAINTY)
         unit = f"in units of the {item.candidate.unit}{none}"
         gained = {"probability": r.probability[item.name], "likelihood_gain": max(2.0 * item.evidence, 0.0)}
-        out = [row(metric, value, reason=f"rank {place}: {item.in_words}", n=r.dof) for metric, value in gained.items()]
+        out = [row(name, value, reason=f"rank {place}: {item.description}", n=r.dof) for name, value in gained.items()]
         if not item.candidate.labels:  # one of several has no size
             out.append(row("needed_uncertainty", abs(item.units), cause=cause, reason=unit))
         yield from named(out, "attribution", r.group, item.name)
 
 
-def _rest_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
+def _remainder_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
     """Of each quantity the reduced chi-square before and after the cause that is named first.
 
     >>> from hyperval.attribute import ResidualBlock
@@ -860,14 +860,15 @@ def _rest_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
     >>> stack = Stack((ResidualBlock("scores", "paint", "cem", np.zeros(20), one, len),))
     >>> residuals = Residuals(30.0 * one[0] + 2.0 * one[1], one, {gain: one[:, :1]}, 0.1 * one[:, 4:])
     >>> causes = Causes(stack, np.zeros(20), {}, dict, dict, [], residuals, {}, len, None, dict)
-    >>> [(r.subject, r.method, round(r.value, 1), r.reason) for r in _rest_rows(causes, residuals.posterior(ALL, True))]
+    >>> found = _remainder_rows(causes, residuals.posterior(ALL, True))
+    >>> [(r.subject, r.method, round(r.value, 1), r.reason) for r in found]
     [('scores of paint cem', 'gain', 0.2, '45.2 before')]
     """
-    if not r.best.causes or r.first == NONE:
+    if not r.best.causes or r.first_cause == NONE:
         return
     (residual, covariance, *_), first = causes.residuals, r.best.causes[0]
-    remaining = residual - Whitened(residual, covariance).coloured(first.shown)
-    for block, part in causes.stack.placed():
+    remaining = residual - Whitened(residual, covariance).unwhiten(first.shown)
+    for block, part in causes.stack.with_slices():
         spread = covariance[part, part]
         before, after = (Whitened(x[part], spread).chi_square / block.observed.size for x in (residual, remaining))
         found = row("reduced_chi_square", after, n=block.observed.size, before=before, reason=f"{before:.4g} before")
@@ -957,16 +958,16 @@ def _what_ifs(model: ScenarioModel, causes: Causes, what_ifs: Sequence[WhatIf]) 
         values = after.observed - needed(measured, "whatif.other", name=name)
         spread = causes.residuals.covariance
         spread = spread if after is stack else spread - stack.covariance + after.covariance
-        return Whitened(values, spread), gaps_of(causes.numbers, predicted, other), alarm_ratios(predicted, other)
+        return Whitened(values, spread), summary_gaps(causes.numbers, predicted, other), alarm_ratios(predicted, other)
 
-    def tried(item: WhatIf) -> tuple[Whitened, dict[str, float], dict[Key, Result]]:
-        predicted = model.assuming(changed_scenarios(model.scenarios, item))
+    def run(item: WhatIf) -> tuple[Whitened, dict[str, float], dict[Key, Result]]:
+        predicted = model.predict_scenarios(changed_scenarios(model.scenarios, item))
         return misfit(item.name, predicted, model.observe(item.observe, {}) if item.observe else model.observed)
 
     if not what_ifs:
         return []
-    (start, gaps, alarms), rows = misfit("", model.assuming(model.scenarios), model.observed), list[Result]()
-    outcomes = sorted(((w, *tried(w)) for w in track(what_ifs, "attribution: what-ifs")), key=lambda o: o[1].chi_square)
+    (start, gaps, alarms), rows = misfit("", model.predict_scenarios(model.scenarios), model.observed), list[Result]()
+    outcomes = sorted(((w, *run(w)) for w in track(what_ifs, "attribution: what-ifs")), key=lambda o: o[1].chi_square)
     n = start.residual.size
     was = start.chi_square / n
     for item, after, closed, _ in outcomes:
@@ -1006,7 +1007,7 @@ def changed_scenarios(scenarios: Sequence[Scenario], item: WhatIf) -> list[Scena
     return out
 
 
-def gaps_of(numbers: Numbers, predicted: Products, observed: Products) -> dict[str, float]:
+def summary_gaps(numbers: Numbers, predicted: Products, observed: Products) -> dict[str, float]:
     """Summary gaps: median relative difference of spectra, mean difference of P_D; without what is measured no more.
 
     >>> from hyperval.products import RocCurve, SpectralEstimate
@@ -1019,10 +1020,10 @@ def gaps_of(numbers: Numbers, predicted: Products, observed: Products) -> dict[s
     ...     return Products(SpectralAxis([500.0], 5.0), radiance=light, roc=curves)
     >>> predicted, measured = side(1.1, 0.8, 2.0), side(1.0, 1.0, 1.0)
     >>> numbers = quantities(predicted, measured)
-    >>> {name: round(gap, 9) for name, gap in gaps_of(numbers, predicted, measured).items()}
+    >>> {name: round(gap, 9) for name, gap in summary_gaps(numbers, predicted, measured).items()}
     {'median |radiance difference ratio|': 0.2, 'mean |pd@1e-2 difference|': 0.108333333}
     >>> fewer = {quantity: value for quantity, value in numbers.items() if quantity[1] != "c"}
-    >>> [round(gap, 9) for gap in gaps_of(fewer, predicted, measured).values()]
+    >>> [round(gap, 9) for gap in summary_gaps(fewer, predicted, measured).values()]
     [0.15, 0.0375]
     """
     parts, measured = defaultdict[str, list[float]](list), quantities(observed, observed)
@@ -1055,31 +1056,31 @@ def alarm_ratios(predicted: Products, observed: Products) -> dict[Key, Result]:
     }
 
 
-def _off(ratio: Result) -> float:
+def _log_error(ratio: Result) -> float:
     """|ln ratio|: by how much it is wrong, either way."""
     return abs(math.log(ratio.value)) if ratio.value > 0.0 else math.inf
 
 
-def reason_for(before: Result, tried: Iterable[tuple[str, Result]]) -> str:
+def explain_ratio(before: Result, tried: Iterable[tuple[str, Result]]) -> str:
     """In words, which experiment explains a ratio that is off by more than a factor of two, or that none does.
 
     Examples
     --------
     >>> r = [row("pfa_ratio@1e-2", v, (v / 2, v * 2)) for v in (6.0, 1.5, 4.0)]
-    >>> reason_for(r[0], [("local", r[1]), ("tails", r[2])])
+    >>> explain_ratio(r[0], [("local", r[1]), ("tails", r[2])])
     "off by a factor of 6; 'local' leaves 1.5, which would explain it"
-    >>> reason_for(r[1], [("tails", r[2])])
+    >>> explain_ratio(r[1], [("tails", r[2])])
     'within a factor of two'
     """
-    if _off(before) <= math.log(FACTOR):
+    if _log_error(before) <= math.log(FACTOR):
         return "within a factor of two"
-    size = f"off by a factor of {math.exp(_off(before)):.2g}"
+    size = f"off by a factor of {math.exp(_log_error(before)):.2g}"
     if before.lower <= FACTOR and before.upper >= 1.0 / FACTOR:
         size += ", within its interval"
-    name, best = min(tried, key=lambda item: _off(item[1]), default=("", before))
-    if _off(best) >= _off(before):
+    name, best = min(tried, key=lambda item: _log_error(item[1]), default=("", before))
+    if _log_error(best) >= _log_error(before):
         return f"{size}; no what-if reduces it"
-    end = "which would explain it" if _off(best) <= math.log(FACTOR) else "the largest reduction, not sufficient"
+    end = "which would explain it" if _log_error(best) <= math.log(FACTOR) else "the largest reduction, not sufficient"
     return f"{size}; {name!r} leaves {best.value:.2g}, {end}"
 
 
@@ -1095,7 +1096,7 @@ def _alarm_rows(before: Mapping[Key, Result], outcomes: Sequence[tuple[str, Mapp
     """
     tried = {k: each for k in before if (each := [(name, alarms[k]) for name, alarms in outcomes if k in alarms])}
     for key, each in tried.items():
-        yield replace(before[key], product="attribution", reason=reason_for(before[key], each))
+        yield replace(before[key], product="attribution", reason=explain_ratio(before[key], each))
     for key, each in tried.items():
         words = f"{before[key].value:.3g} before ({before[key].lower:.2g} to {before[key].upper:.2g})"
         for name, after in each:

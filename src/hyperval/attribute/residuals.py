@@ -23,7 +23,7 @@ from hyperval.model.roc import detection_at
 from hyperval.products import ObjectScores, Products, SpectralEstimate, background_of
 
 PIECES = 17  # smooth pieces of a spectrum
-LIT = ("radiance", "toa_reflectance")
+RADIOMETRIC = ("radiance", "toa_reflectance")
 POINTS = (1e-2, 1e-3)  # false-alarm rates that are looked at
 ENOUGH = 0.05  # p-value from which residuals count as explained
 # Numerical error of the model itself: what interpolation and rounding may do.  It keeps well sampled quantities
@@ -123,7 +123,7 @@ class Stack:
         """(n,) band of each entry; of what is no spectrum -1, -2, ..."""
         return np.concatenate([~np.arange(b.observed.size) if b.bands is None else b.bands for b in self.blocks])
 
-    def named(self, what: str) -> npt.NDArray[np.str_]:
+    def entry_labels(self, what: str) -> npt.NDArray[np.str_]:
         """(n,) product or subject of each entry."""
         return np.repeat([getattr(b, what) for b in self.blocks], [b.observed.size for b in self.blocks])
 
@@ -136,29 +136,29 @@ class Stack:
     def covariance(self) -> Array:
         """(n, n): different blocks err independently of each other, but for the calibration that spectra share."""
         out = np.asarray(linalg.block_diag(*[b.covariance for b in self.blocks]))
-        for (a, rows), (b, columns) in itertools.product(self.placed(), repeat=2):
+        for (a, rows), (b, columns) in itertools.product(self.with_slices(), repeat=2):
             if a.calibration is not None and a.bands is not None and b.calibration is not None and b.bands is not None:
                 (relative, level), (_, other) = a.calibration, b.calibration
                 out[rows, columns] += np.outer(level, other) * relative[np.ix_(a.bands, b.bands)]
         return out
 
-    def since(self, other: Stack) -> Array:
+    def difference_from(self, other: Stack) -> Array:
         """(n,) observed here less observed in another measurement; 0 where that has no such entry.
 
         >>> def stack(**observed):
         ...     return Stack(tuple(ResidualBlock("scores", n, "", np.array(x), np.eye(len(x)), len)
         ...                        for n, x in observed.items()))
-        >>> stack(red=[0.5, 0.1], green=[0.4]).since(stack(grey=[9.0], red=[0.2])).round(9).tolist()
+        >>> stack(red=[0.5, 0.1], green=[0.4]).difference_from(stack(grey=[9.0], red=[0.2])).round(9).tolist()
         [0.3, 0.0, 0.0]
         """
-        out, places = np.zeros(self.observed.size), {block.quantity: part for block, part in other.placed()}
-        for name, entries, index in self.shared_with({name: other.bands[part] for name, part in places.items()}):
+        out, places = np.zeros(self.observed.size), {block.quantity: part for block, part in other.with_slices()}
+        for name, entries, index in self.shared_entries({name: other.bands[part] for name, part in places.items()}):
             out[entries] = self.observed[entries] - other.observed[places[name]][index]
         return out
 
-    def shared_with(self, bands: Mapping[str, npt.ArrayLike]) -> list[tuple[str, Index, Index]]:
+    def shared_entries(self, bands: Mapping[str, npt.ArrayLike]) -> list[tuple[str, Index, Index]]:
         """Quantity, entries in this run and in another, of what both have; ``bands`` of the other as :attr:`bands`."""
-        same = [(block.quantity, i) for block, i in self.placed() if block.quantity in bands]
+        same = [(block.quantity, i) for block, i in self.with_slices() if block.quantity in bands]
         common = [(name, i, np.intersect1d(self.bands[i], bands[name], return_indices=True)) for name, i in same]
         return [(name, i.start + entries, other) for name, i, (_, entries, other) in common if entries.size]
 
@@ -166,14 +166,14 @@ class Stack:
         """(n,) what a prediction says of the same quantities."""
         return np.concatenate([b.read(prediction) for b in self.blocks])
 
-    def stated_beyond(self, prediction: Products, budget: Array) -> Array:
+    def excess_covariance(self, prediction: Products, budget: Array) -> Array:
         """(n, n) what a prediction's own error covariances hold beyond ``budget`` (n, n), each spectrum by itself.
 
         An input moves all spectra at once by its first directions alone; what they leave has its covariance from
         band to band still: counted as independent in each band it would be many times too wide.
         """
         out = np.zeros_like(budget)
-        for block, place in self.placed():
+        for block, place in self.with_slices():
             if block.bands is not None:
                 stated = getattr(prediction, block.product)[block.subject].error_covariance
                 excess = np.nan_to_num(stated[np.ix_(block.bands, block.bands)]) - budget[place, place]
@@ -194,7 +194,7 @@ class Stack:
         times what each subject shows in ``level`` (n,) (a gain) or, ``additive``, what all of them show on average in a
         band (an offset).
         """
-        lit = np.isin(self.named("product"), LIT)
+        lit = np.isin(self.entry_labels("product"), RADIOMETRIC)
         sums, counts = (np.bincount(self.bands[lit], x, centre_nm.size) for x in (level[lit], None))
         height = np.where(lit, (sums / np.maximum(counts, 1))[self.bands] if additive else level, 0.0)
         hats = [np.interp(centre_nm, knots_nm, one)[self.bands] for one in np.eye(len(knots_nm))]
@@ -205,50 +205,50 @@ class Stack:
         each score and each logarithm.
         """
         parts = []
-        for block, part in self.placed():
+        for block, part in self.with_slices():
             n = block.observed.size
             height = 0.1 * level[part] if block.bands is not None else np.full(n, 0.1)
             knots = np.linspace(0.0, n - 1.0, min(n, PIECES))
             parts.append(np.transpose([np.interp(np.arange(n), knots, one) * height for one in np.eye(knots.size)]))
         return np.asarray(linalg.block_diag(*parts))
 
-    def mixed(self, level: Array, classes: Mapping[str, Mapping[str, Array]]) -> dict[str, Array]:
+    def class_mixing(self, level: Array, classes: Mapping[str, Mapping[str, Array]]) -> dict[str, Array]:
         """(n,) change of each subject's spectrum by a hundredth of a class's in its place: (B,) by product."""
         out = {}
-        for block, part in self.placed():
+        for block, part in self.with_slices():
             for name, other in classes.get(block.product, {}).items() if block.bands is not None else ():
                 if name != block.subject:
                     out[f"region of {block.subject} with pixels of {name}"] = change = np.zeros(level.size)
                     change[part] = 0.01 * np.nan_to_num(other[block.bands] - level[part])
         return out
 
-    def of_scene(self, classes: Mapping[str, Mapping[str, Array]], area: Mapping[str, float], other: Array) -> Array:
+    def scene_mean(self, classes: Mapping[str, Mapping[str, Array]], area: Mapping[str, float], other: Array) -> Array:
         """(n,) radiance of the scene on average, by the area of its classes; ``other`` where none of them is known.
 
         >>> block = ResidualBlock("radiance", "panel", "", np.ones(3), np.eye(3), len, bands=np.arange(3))
         >>> each = {"grass": np.array([1.0, 1.0, np.nan]), "soil": np.array([5.0, np.nan, np.nan])}
-        >>> Stack((block,)).of_scene({"radiance": each}, {"grass": 0.75, "soil": 0.25}, np.full(3, 9.0)).tolist()
+        >>> Stack((block,)).scene_mean({"radiance": each}, {"grass": 0.75, "soil": 0.25}, np.full(3, 9.0)).tolist()
         [2.0, 1.0, 9.0]
         """
         out = other.copy()
-        for block, part in self.placed():
-            if block.product in LIT and (each := classes.get(block.product)):
+        for block, part in self.with_slices():
+            if block.product in RADIOMETRIC and (each := classes.get(block.product)):
                 spectra = np.ma.masked_invalid([x[block.bands] for x in each.values()])
                 average = np.ma.average(spectra, axis=0, weights=[area[n] for n in each])
                 out[part] = np.where(np.ma.getmaskarray(average), other[part], average)
         return out
 
-    def levelled(self, level: Array) -> Array:
-        """(n,) radiance that loses to its own mean over the bands what it has more than that."""
+    def spectral_stray_light(self, level: Array) -> Array:
+        """(n,) change of each radiance spectrum to its own mean over the bands."""
         out = np.zeros(level.size)
-        for block, part in self.placed():
-            if block.product in LIT:
+        for block, part in self.with_slices():
+            if block.product in RADIOMETRIC:
                 out[part] = np.mean(level[part]) - level[part]
         return out
 
-    def single(self, level: Array) -> dict[Candidate, Array]:
+    def subject_errors(self, level: Array) -> dict[Candidate, Array]:
         """Of what is measured, other light on one subject, or all that is more than the greatest value now cut off."""
-        lit, subjects, out = self.bands >= 0, self.named("subject"), dict[Candidate, Array]()
+        lit, subjects, out = self.bands >= 0, self.entry_labels("subject"), dict[Candidate, Array]()
         for name in dict.fromkeys(subjects[lit].tolist()):
             light = Candidate(f"light on {name}", "region", "5 %", False, sizes=(-10.0, 20.0))
             out[light] = np.outer(np.where(lit & (subjects == name), 0.05 * level, 0.0), light.sizes)
@@ -257,9 +257,9 @@ class Stack:
         out[Candidate("saturation", "sensor", "", False, labels=(f"at {greatest:.4g}",))] = cut[:, None]
         return out
 
-    def of_subject(self, level: Array, subject: str) -> Array:
+    def subject_bands(self, level: Array, subject: str) -> Array:
         """(n, K) a tenth of a subject's spectrum in each band by itself."""
-        rows = np.flatnonzero((self.named("subject") == subject) & (self.bands >= 0))
+        rows = np.flatnonzero((self.entry_labels("subject") == subject) & (self.bands >= 0))
         return np.asarray(0.1 * level[:, None] * (np.arange(level.size)[:, None] == rows))
 
     def common_bands(self, level: Array) -> tuple[Index, Array]:
@@ -272,7 +272,7 @@ class Stack:
         rows = np.flatnonzero(np.any(columns[:, shared] != 0.0, axis=1))
         return rows, columns[np.ix_(rows, np.flatnonzero(shared))]
 
-    def placed(self) -> list[tuple[ResidualBlock, slice]]:
+    def with_slices(self) -> list[tuple[ResidualBlock, slice]]:
         """Each block with its entries in the vector."""
         ends = np.cumsum([b.observed.size for b in self.blocks])
         return [(b, slice(int(e) - b.observed.size, int(e))) for b, e in zip(self.blocks, ends, strict=True)]

@@ -7,17 +7,17 @@ from .accepted import (
     Baseline,
     RunNumbers,
     accept,
-    accepted_of,
+    accepted_numbers,
     campaign_metrics,
     check,
     compare,
+    joined_rows,
     load_baseline,
-    rows_of,
     sensor_metrics,
     today,
 )
 
 __all__ = [
-    "DEFAULT_FOLDER", "SENSORS", "Accepted", "Baseline", "RunNumbers", "accept", "accepted_of", "campaign_metrics",
-    "check", "compare", "load_baseline", "rows_of", "sensor_metrics", "today",
+    "DEFAULT_FOLDER", "SENSORS", "Accepted", "Baseline", "RunNumbers", "accept", "accepted_numbers", "campaign_metrics",
+    "check", "compare", "joined_rows", "load_baseline", "sensor_metrics", "today",
 ]  # fmt: skip

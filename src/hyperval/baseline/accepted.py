@@ -23,14 +23,14 @@ import numpy as np
 from pydantic import Field, model_validator
 
 import hyperval
-from hyperval.campaign import Job, command_without_output, jobs_of, package_versions, unchanged_run, validate
+from hyperval.campaign import Job, command_without_output, find_unchanged_run, load_jobs, package_versions, validate
 from hyperval.compare import row
 from hyperval.config import FILL_IN, Model, load_model
 from hyperval.errors import HypervalError, as_typed, reader, refuse, worded
 from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.model.roc import detection_at
 from hyperval.progress import track
-from hyperval.report import accepted_words, write_index, write_outputs
+from hyperval.report import accepted_text, write_index, write_outputs
 from hyperval.results import WORST_FIRST, Cause, Outcome, Result, ResultTable, Role, split_key
 from hyperval.run import Run, file_stems, is_run, junit_xml
 from hyperval.sensor import Sensor, library_names, load_sensor
@@ -42,7 +42,7 @@ from hyperval.storage import RECORD, scratch_folder, sha256_of, stated_time, who
 LARGEST = {"value": 1.0, "interval": 1.0, "unit": 0.1}
 
 
-def rounded(value: float) -> float | None:
+def round_number(value: float) -> float | None:
     """The number as a baseline keeps it; None where there is none (NaN, infinity)."""
     return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
 
@@ -68,7 +68,7 @@ class Accepted(Model):
         return Tolerance(self.tolerance, self.of).width(self.accepted or 0.0, self.half_width)
 
     @property
-    def range(self) -> tuple[float, float]:
+    def limits(self) -> tuple[float, float]:
         """Ends of what is tolerated, in the metric's unit; NaN where the comparison could not be made."""
         middle = math.nan if self.accepted is None else self.accepted
         return middle - self.width, middle + self.width
@@ -82,7 +82,7 @@ class Accepted(Model):
         if self.accepted is None:
             return None
         low, high = metric_of(metric).low, metric_of(metric).high
-        if math.isfinite(low) and self.range[0] <= low and self.range[1] >= high:
+        if math.isfinite(low) and self.limits[0] <= low and self.limits[1] >= high:
             return f"{metric} lies between {low:g} and {high:g}: a tolerance of {self.width:g} can never fail"
         limit = default_tolerance(metric, self.half_width).width(self.accepted, self.half_width)
         return "a tolerance above the default needs 'why'" if not self.why and self.width > limit * (1 + 1e-9) else None
@@ -100,7 +100,7 @@ class Baseline(Model):
     metrics: dict[str, Accepted] = Field(min_length=1, description='"product | subject | method | metric": number')
 
     @model_validator(mode="after")
-    def _sound(self) -> Baseline:
+    def _check_tolerances(self) -> Baseline:
         """Refuse tolerances that mean nothing."""
         for key, item in self.metrics.items():
             if wrong := item.objection(split_key(key)[-1]):
@@ -225,14 +225,14 @@ SENSORS, CANDIDATE = "sensors", ".candidate.yaml"
 PACKAGES = ("numpy", "scipy")
 
 
-def accepted_of(measured: Mapping[str, Result], before: Mapping[str, Accepted]) -> dict[str, Accepted]:
+def accepted_numbers(measured: Mapping[str, Result], before: Mapping[str, Accepted]) -> dict[str, Accepted]:
     """Measured numbers as a baseline keeps them; tolerances that stand in ``before`` are kept, not loosened."""
-    return {key: _accepted(new, before.get(key)) for key, new in sorted(measured.items())}
+    return {key: _accept_number(new, before.get(key)) for key, new in sorted(measured.items())}
 
 
-def _accepted(new: Result, old: Accepted | None) -> Accepted:
+def _accept_number(new: Result, old: Accepted | None) -> Accepted:
     width = (new.upper - new.lower) / 2.0
-    value, half = rounded(new.value), rounded(width) if width > 0 else None
+    value, half = round_number(new.value), round_number(width) if width > 0 else None
     limit = Tolerance(old.tolerance, old.of) if old else default_tolerance(new.metric, half)
     if limit.of == "interval" and half is None:  # the interval is gone: its part of it means nothing any more
         limit = default_tolerance(new.metric)
@@ -255,7 +255,7 @@ def compare(owner: str, accepted: Mapping[str, Accepted], measured: Mapping[str,
     rows = []
     for key in sorted({*accepted, *measured}):
         old, new = accepted.get(key), measured.get(key)
-        low, high = old.range if old is not None else (math.nan, math.nan)
+        low, high = old.limits if old is not None else (math.nan, math.nan)
         value, unit = (new.value, new.unit) if new is not None else (math.nan, "1")
         words = _objection(split_key(key)[-1], old, new)
         rows.append(Result(
@@ -270,7 +270,7 @@ def _objection(metric: str, old: Accepted | None, new: Result | None) -> str:
     before = math.nan if old is None or old.accepted is None else old.accepted
     now = new.value if new is not None and math.isfinite(new.value) else math.nan
     none = math.isnan(before) and math.isnan(now)
-    moved = old is None or not (none or old.range[0] <= now <= old.range[1])
+    moved = old is None or not (none or old.limits[0] <= now <= old.limits[1])
     turned = old is None or new is None or new.outcome != old.outcome
     if not (moved or turned):
         return ""
@@ -324,7 +324,7 @@ class RunNumbers:
         """
         return (folder if self.kind == "campaign" else folder / SENSORS) / f"{self.run.campaign}{end}"
 
-    def stored(self, folder: Path) -> Baseline | None:
+    def load_accepted(self, folder: Path) -> Baseline | None:
         """Its baseline, None when there is none.
 
         Raises
@@ -345,7 +345,7 @@ class RunNumbers:
         old, new = (side.metrics if side else {} for side in (self.before, self.after))
         return [(k, old.get(k), new.get(k)) for k in sorted({*old, *new}) if old.get(k) != new.get(k)]
 
-    def acceptance(self, baselines: Path) -> str:
+    def accept_command(self, baselines: Path) -> str:
         """The command that takes the numbers of this run for accepted, in the folder ``baselines``."""
         named = [self.reference] if self.kind == "campaign" else ["--sensors", self.reference]
         where = [] if baselines == DEFAULT_FOLDER else ["--baselines", baselines]
@@ -354,7 +354,7 @@ class RunNumbers:
     def baseline(self, reason: str, before: Mapping[str, Accepted]) -> Baseline:
         """Its numbers as accepted today; tolerances that stand in ``before`` are kept."""
         more: dict[str, Any] = {"versions": self.versions, "schema_version": 1}
-        more["metrics"] = accepted_of(self.metrics, before)
+        more["metrics"] = accepted_numbers(self.metrics, before)
         return Baseline.model_construct(kind=self.kind, name=self.run.campaign, reason=reason, date=today(), **more)
 
     @property
@@ -363,7 +363,7 @@ class RunNumbers:
         return self.run.campaign if self.kind == "campaign" else f"sensor {self.run.campaign}"
 
     @property
-    def broken(self) -> list[str]:
+    def errors(self) -> list[str]:
         """Numbers that ended in an error: a disagreement is a result, an error is none."""
         return [f"{key} ({m.outcome}: {m.reason})" for key, m in self.metrics.items() if m.outcome is Outcome.ERROR]
 
@@ -388,7 +388,7 @@ def all_runs(
     refuse(not campaigns and not sensors, "baseline.nothing")
     named = [part for text in sensors for part in text.split(",") if part]
     chosen = {n: load_sensor(n) for part in named for n in (library_names() if part == ALL else (part,))}
-    jobs = jobs_of(*campaigns) if campaigns else []
+    jobs = load_jobs(*campaigns) if campaigns else []
     with scratch_folder("check") as scratch:
         folder = source or keep or scratch / RUNS
         if jobs and source is None:
@@ -408,13 +408,13 @@ def _read(job: Job, source: Path, *, finished: bool) -> RunNumbers:
     run, title = Run.open(folder), job.outline.title
     table = run.table.where(campaign=name)
     refuse(not len(table), "baseline.absent", source, name=name)
-    stale = finished and (folder / RECORD).is_file() and unchanged_run(job, folder) is None
+    stale = finished and (folder / RECORD).is_file() and find_unchanged_run(job, folder) is None
     refuse(stale, "baseline.stale", folder, name=name)
     run = replace(run, table=table, campaign=name, title=title, simulated=bool(job.outline.simulated))
     return RunNumbers("campaign", run, str(job.path), campaign_metrics(table))
 
 
-def rows_of(runs: Iterable[RunNumbers]) -> ResultTable:
+def joined_rows(runs: Iterable[RunNumbers]) -> ResultTable:
     """All rows; their exit code is 1 when a number moved, is missing, new, or was never accepted, 5 without any."""
     return ResultTable(row for run in runs for row in run.rows)
 
@@ -443,29 +443,29 @@ def check(
     ------
     UsageError, InputError : of the campaigns, sensors, baselines or the finished run.
     """
-    read = (one.path for job in (jobs_of(*campaigns) if campaigns else []) for one in job.files)
+    read = (one.path for job in (load_jobs(*campaigns) if campaigns else []) for one in job.files)
     with whole_folder(output, beside=[source, *read]) if output is not None else nullcontext() as folder:
         runs = all_runs(campaigns, sensors, source=source, keep=folder and folder / RUNS)
-        runs = [_against(run, baselines) for run in runs]
+        runs = [_compare_run(run, baselines) for run in runs]
         if folder is not None:
             _write(runs, baselines, folder)
     if junit is not None:
-        write_text(junit, junit_xml(rows_of(runs)))
+        write_text(junit, junit_xml(joined_rows(runs)))
     return runs
 
 
-def _against(run: RunNumbers, folder: Path) -> RunNumbers:
+def _compare_run(run: RunNumbers, folder: Path) -> RunNumbers:
     path, outcome, cause = run.path(folder), Outcome.DISAGREES, Cause.NONE
     if run.skipped is not None:
         outcome, cause, words = Outcome.SKIPPED, Cause.NO_DATA, run.skipped
-    elif (before := run.stored(folder)) is not None:
+    elif (before := run.load_accepted(folder)) is not None:
         return replace(run, rows=ResultTable(compare(run.owner, before.metrics, run.metrics)), before=before)
-    elif run.broken:
-        words = f"no baseline ({path}), and this run cannot become one: {run.broken[0]}"
+    elif run.errors:
+        words = f"no baseline ({path}), and this run cannot become one: {run.errors[0]}"
     else:
         candidate = run.path(folder, CANDIDATE)
         run.baseline(f"{FILL_IN}: why these numbers are right", {}).write(candidate)
-        instruction = f"to make them one: {run.acceptance(folder)}"
+        instruction = f"to make them one: {run.accept_command(folder)}"
         words = f"no baseline ({path}); the numbers of this run are in {candidate}; {instruction}"
     names = (run.owner, "baseline", run.run.campaign, run.kind, "baseline")
     return replace(run, rows=ResultTable([Result(*names, role=Role.GATE, outcome=outcome, cause=cause, reason=words)]))
@@ -482,7 +482,7 @@ def _write(runs: Sequence[RunNumbers], baselines: Path, folder: Path) -> None:
             campaign=run.owner, title=f"{run.run.title}: against the accepted numbers", simulated=run.run.simulated,
             description="Each number of this run beside the accepted one; it fails beyond its tolerance.",
             kind="Accepted numbers of", group=f"{run.kind.capitalize()}s",
-            sentence=accepted_words(run.rows) if run.before else next(row.reason for row in run.rows),
+            sentence=accepted_text(run.rows) if run.before else next(row.reason for row in run.rows),
         ))  # fmt: skip
         inner = folder / folders[run.owner]
         inner.mkdir(exist_ok=True)
@@ -514,8 +514,8 @@ def accept(
     refuse(not any(map(str.isalnum, words)), "baseline.reason")  # the dots of the printed command are none
     runs = all_runs(campaigns, sensors, source=source)
     for run in runs:
-        refuse(run.broken, "baseline.broken", owner=run.owner, why="; ".join(run.broken[:1]))
-    before = {run.owner: run.stored(baselines) for run in runs}  # all are read before one is written
+        refuse(run.errors, "baseline.broken", owner=run.owner, why="; ".join(run.errors[:1]))
+    before = {run.owner: run.load_accepted(baselines) for run in runs}  # all are read before one is written
     for i, run in enumerate(runs):
         if run.skipped is None:
             held = before[run.owner]

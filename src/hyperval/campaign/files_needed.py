@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from hyperval.campaign.products import undecided_by
-from hyperval.campaign.schema import Campaign, Job, Reference, read_jobs, scenarios_of
+from hyperval.campaign.products import undecided_criteria_of
+from hyperval.campaign.schema import Campaign, Job, Reference, load_scenarios, read_jobs
 from hyperval.compare.judge import Gate
 from hyperval.compare.spectra import TOGETHER
 from hyperval.config import Location, texts_of, twice
@@ -66,14 +66,14 @@ class Item:
     words: Mapping[str, str] = field(default_factory=dict)
     decides: bool = False
 
-    def general(self, text: str) -> str:
+    def generalise(self, text: str) -> str:
         """A text with the words of the run as they stand in its file, such as {line}: the same in every run."""
         for word, value in sorted(self.words.items(), key=lambda item: -len(item[1])):
             text = text.replace(value, f"{{{word}}}") if value else text
         return text
 
     @property
-    def lacking(self) -> bool:
+    def is_blocking(self) -> bool:
         """Whether the campaign cannot run for want of it."""
         return self.state in (MISSING, TO_FILL_IN, WRONG)
 
@@ -105,12 +105,12 @@ def overview(items: Sequence[Item]) -> list[Item]:
 
     def key(item: Item) -> tuple[str, ...]:
         texts = {PLANNED: (item.campaign, ""), PRESENT: ("", "")}.get(item.state, (item.what, item.detail))
-        return item.kind, item.state, *map(item.general, texts)
+        return item.kind, item.state, *map(item.generalise, texts)
 
     rows = []
     for (kind, state, what, detail), members in grouped(items, key).items():
         names = list(dict.fromkeys(i.campaign for i in members))
-        general = {i.general(i.campaign) for i in members}
+        general = {i.generalise(i.campaign) for i in members}
         one_file = f", {general.pop()}" if len(general) == 1 else ""
         if state == PLANNED:
             count, deciding = (n // len(names) for n in (len(members), sum(i.decides for i in members)))
@@ -133,7 +133,7 @@ def summary(items: Sequence[Item]) -> list[str]:
         counts = (files, "file{} missing"), (values, "value{} to fill in"), (wrong, "unknown name{}")
         words = [f"{count} {what.format('s' * (count > 1))}" for count, what in counts if count]
         ready = "ready" + f"; {never} acceptance criteria can never be met" * bool(never)
-        states.setdefault((rows[0].general(name), ", ".join(words) or ready), []).append(name)
+        states.setdefault((rows[0].generalise(name), ", ".join(words) or ready), []).append(name)
     head = {key: names[0] if len(names) == 1 else f"{key[0]} ({len(names)} campaigns)" for key, names in states.items()}
     out = [f"{names}: {state}" for (_, state), names in head.items()]
     owners = {owner.name: owner for i in items if i.state == MISSING and (owner := owner_of(i.what)) is not None}
@@ -149,21 +149,21 @@ def _items(job: Job, finished: Path | None) -> list[Item]:
     lookup = Lookup(job.path, job.lines, (), partial(resolve, base=job.folder))
     are_whole = not job.to_fill_in and all(one.path for one in job.files if one.key == "scenarios")
     scenarios = [*_scenarios(job, lookup)] if are_whole else []
-    if not any(item.lacking for item in items):
+    if not any(item.is_blocking for item in items):
         items += _mistakes(job.campaign, lookup, scenarios)
-    if not any(item.lacking for item in items):
-        items += [Item("", VALUE, TO_FILL_IN, key, "or observe alone: hyperval observe") for key in job.lacking]
-    return items if any(item.lacking for item in items) else [*items, *_undecided(job, finished)]
+    if not any(item.is_blocking for item in items):
+        items += [Item("", VALUE, TO_FILL_IN, key, "or observe alone: hyperval observe") for key in job.missing_keys]
+    return items if any(item.is_blocking for item in items) else [*items, *_undecided_items(job, finished)]
 
 
-def _undecided(job: Job, finished: Path | None) -> Iterator[Item]:
+def _undecided_items(job: Job, finished: Path | None) -> Iterator[Item]:
     """Criteria that what is known beforehand, or of a cube what an earlier run found, does not decide.
 
     >>> from types import SimpleNamespace as Of
     >>> names = "spectral_angle", "bias_ratio", "chi2_reduced_full", "chi2_*"
     >>> gates = [Of(metric=name, product="radiance", gate=True) for name in names]
     >>> job = Of(campaign=Of(comparisons=gates, collection=Of(cube="x.img")))
-    >>> [item.what for item in _undecided(job, None)]
+    >>> [item.what for item in _undecided_items(job, None)]
     ['radiance spectral_angle', 'radiance chi2_reduced_full']
     """
     campaign = job.campaign
@@ -175,14 +175,14 @@ def _undecided(job: Job, finished: Path | None) -> Iterator[Item]:
         rows = (row for row in read_rows(finished, every=False) if row.campaign == campaign.name and row.gates)
         found = [(row, f"in {finished}: {row.reason}") for row in rows if row.outcome is Outcome.UNDECIDED]
     elif campaign.collection.cube is None and campaign.scenarios and any(g.gate for g in campaign.comparisons):
-        found = [(row, f"to decide it: {words}") for row, words in undecided_by(job)]
+        found = [(row, f"to decide it: {words}") for row, words in undecided_criteria_of(job)]
     for row, words in ((row, words) for row, words in found if not any(gate.covers(row) for gate in bare)):
         state = NEVER_MET if row.never_met else INCONCLUSIVE
         yield Item("", COMPARISON, state, f"{row.product} {row_name(row)}", words)
 
 
 def _file(reference: Reference, job: Job) -> list[Item]:
-    path, problem = reference.found
+    path, problem = reference.path_or_problem
     if path is None:
         held = owner_of(reference.text)
         place = f"expected below HYPERVAL_DATA (--data-dir); {held.name} is not public" if held and held.holder else ""
@@ -208,7 +208,7 @@ def _comparisons(gate: Gate) -> Iterator[Item]:
 
 
 # What a collection offers: its bands, None where they are not known, and its names by what they are of.
-Offered = tuple[SpectralAxis | None, dict[str, Sequence[str]]]
+CollectionNames = tuple[SpectralAxis | None, dict[str, Sequence[str]]]
 
 
 @dataclass
@@ -221,26 +221,26 @@ class Lookup:
     find: Resolve  # what its references lead to
     mistakes: list[Item] = field(default_factory=list)
 
-    def add(self, location: Location, what: str) -> None:
+    def add_mistake(self, location: Location, what: str) -> None:
         """A mistake at an entry; the line is that of the entry or of the nearest one that holds it."""
         whole = (*self.entry, *location)
         line = next((self.lines[whole[:n]] for n in range(len(whole), -1, -1) if whole[:n] in self.lines), 1)
         key = ".".join(str(part) for part in whole)
         self.mistakes.append(Item("", NAME, WRONG, f"{self.file}:{line}: {key}", what))
 
-    def tried(self, location: Location, read: Callable[..., T], *what: Any, **more: Any) -> T | None:
+    def call(self, location: Location, read: Callable[..., T], *what: Any, **more: Any) -> T | None:
         """The result of a function of the run; None where it refuses, which is a mistake at an entry."""
         try:
             return read(*what, **more)
         except HypervalError as error:
             expected = f"; expected: {error.expected}" if error.expected else ""
-            self.add(location, ": ".join(filter(None, (error.where, error.what + expected))))
+            self.add_mistake(location, ": ".join(filter(None, (error.where, error.what + expected))))
             return None
 
-    def one(self, location: Location, name: str, names: Sequence[str], lacks: str, fits: Any = str.__eq__) -> None:
+    def require(self, location: Location, name: str, names: Sequence[str], lacks: str, fits: Any = str.__eq__) -> None:
         """Add a mistake where a name is none of ``names``, or fits none."""
         if not any(fits(one, name) for one in names):
-            self.add(location, f"{lacks} {name!r}; expected: one of {', '.join(names) or 'none'}")
+            self.add_mistake(location, f"{lacks} {name!r}; expected: one of {', '.join(names) or 'none'}")
 
     def spectra(
         self, location: Location, entry: Any, name: str, axis: SpectralAxis | None, regions: Sequence[str] = ()
@@ -258,7 +258,7 @@ class Lookup:
             source: Any = getattr(entry, key, None)
             stated = {} if source is None else source.model_dump(exclude_none=True)
             if stated and "relative_sd" not in stated and not str(stated.get("file")).startswith(SIMULATED):
-                found[key] = self.tried((*location, key), sources.spectrum, source, name)
+                found[key] = self.call((*location, key), sources.spectrum, source, name)
         return found.get("spectrum")
 
 
@@ -270,63 +270,63 @@ def _scenarios(job: Job, lookup: Lookup) -> Iterator[tuple[Scenario, Lookup]]:
     UsageError : mistakes in the campaign or in the scenario files.
     """
     for i, source in enumerate(job.campaign.scenarios):
-        for one, file, lines in scenarios_of(source, lookup.find, job.folder, job.words):
+        for one, file, lines in load_scenarios(source, lookup.find, job.folder, job.words):
             origin = {"file": file, "lines": lines} if file else {"entry": ("scenarios", i)}
             yield one, replace(lookup, find=partial(resolve, base=one.folder or job.folder), **origin)
 
 
 def _mistakes(campaign: Campaign, lookup: Lookup, scenarios: Sequence[tuple[Scenario, Lookup]]) -> list[Item]:
     """Every name of a campaign and its scenarios that does not fit."""
-    (axis, by_noun), cube, detection = _offered(campaign, lookup), campaign.collection.cube, campaign.detection
+    (axis, by_noun), cube, detection = _collection_names(campaign, lookup), campaign.collection.cube, campaign.detection
     nouns = package_table("campaign/keys.yaml")["names"]
     for location, name in texts_of(campaign.model_dump(mode="json")):
         noun, *more = nouns.get(".".join(part for part in location if isinstance(part, str)), [""])
         if noun in by_noun:
-            lookup.one(location, name, (*more, *by_noun[noun]), f"no {noun}")
+            lookup.require(location, name, (*more, *by_noun[noun]), f"no {noun}")
     regions, subjects = by_noun.get("region", ()), by_noun.get("subject", ())
     offered = axis, regions if cube and (cube.quantity != "radiance" or campaign.collection.empirical_line) else ()
-    predicted = [name for scenario, look in scenarios for name in _predicted(scenario, look, *offered)]
+    predicted = [name for scenario, look in scenarios for name in _subjects(scenario, look, *offered)]
     # Metrics that a product does not have, and subjects of spectra and curves that neither side has.
     pools = [pool.name for pool in detection.pools] if detection else []
     both = {**{name: [*regions, *subjects] for name in SPECTRA}, "roc": [*subjects, *pools]}
     both[""] = [*regions, *both["roc"]]
     for i, gate in enumerate(campaign.comparisons):
         if wrong := foreign(gate.metric, gate.product):
-            lookup.add(("comparisons", i, "metric"), wrong)
+            lookup.add_mistake(("comparisons", i, "metric"), wrong)
         names = both.get(gate.product, [])
         for k, pattern in enumerate(gate.subjects if names else ()):
             if not any(fnmatchcase(name, pattern) for name in (*names, *TOGETHER)):
-                lookup.one(("comparisons", i, "subjects", k), pattern, names, "the collection has no")
+                lookup.require(("comparisons", i, "subjects", k), pattern, names, "the collection has no")
             elif gate.product != "roc" and not any(fnmatchcase(name, pattern) for name in (*predicted, *TOGETHER)):
-                lookup.one(("comparisons", i, "subjects", k), pattern, predicted, "no scenario has a subject")
+                lookup.require(("comparisons", i, "subjects", k), pattern, predicted, "no scenario has a subject")
     for i, pattern in enumerate(campaign.attribution.each if campaign.attribution and both[""] else ()):
-        lookup.one(("attribution", "each", i), pattern, both[""], "the collection has no", fnmatchcase)
+        lookup.require(("attribution", "each", i), pattern, both[""], "the collection has no", fnmatchcase)
     return lookup.mistakes
 
 
-def _predicted(scenario: Scenario, lookup: Lookup, axis: SpectralAxis | None, regions: Sequence[str]) -> list[str]:
+def _subjects(scenario: Scenario, lookup: Lookup, axis: SpectralAxis | None, regions: Sequence[str]) -> list[str]:
     """The subjects of a scenario, once its sensor and its spectra were looked up."""
     scene, name = scenario.scene, scenario.sensor
     if name is not None:
-        sensor = lookup.tried(("sensor",), sensor_named, name, lookup.find)
+        sensor = lookup.call(("sensor",), sensor_named, name, lookup.find)
         axis = sensor.axis if axis is None and sensor is not None else axis
     read = dict[str, Any]()
     for kind in ("classes", "panels", "sites", "targets"):
         for i, surface in enumerate(getattr(scene, kind)):
             read[surface.name] = lookup.spectra(("scene", kind, i), surface, surface.name, axis, regions)
     if axis is not None and None not in read.values():
-        lookup.tried(("scene",), list, uncovered_bands(scenario, read, axis))
+        lookup.call(("scene",), list, uncovered_bands(scenario, read, axis))
     lookup.spectra(("scene", "adjacency"), scene.adjacency, "surroundings", axis, regions)
     populations = [p.name for target in scene.targets for p in target.populations]
     return [s.name for s in (*scene.classes, *scene.panels, *scene.sites)] + populations
 
 
-def _offered(campaign: Campaign, lookup: Lookup) -> Offered:
+def _collection_names(campaign: Campaign, lookup: Lookup) -> CollectionNames:
     """What the collection offers, once its files and the spectra that are looked for in it were looked up."""
     collection, detection, cube = campaign.collection, campaign.detection, campaign.collection.cube
     kind = next(key for key in ("simulate", "cube", "spectra", "radcalnet") if getattr(collection, key))
-    read = {"simulate": _simulated, "cube": _opened}.get(kind, _observed)
-    axis, names = lookup.tried(("collection", kind), read, campaign, lookup) or (None, {})
+    read = {"simulate": _names_of_scene, "cube": _names_of_cube}.get(kind, _names_of_spectra)
+    axis, names = lookup.call(("collection", kind), read, campaign, lookup) or (None, {})
     for i, panel in enumerate(collection.empirical_line.panels if collection.empirical_line else ()):
         lookup.spectra(("collection", "empirical_line", "panels", i), panel, panel.region, axis)
     if detection is not None and cube is not None:
@@ -335,46 +335,46 @@ def _offered(campaign: Campaign, lookup: Lookup) -> Offered:
     return axis, names
 
 
-def _observed(campaign: Campaign, lookup: Lookup) -> Offered:
+def _names_of_spectra(campaign: Campaign, lookup: Lookup) -> CollectionNames:
     """A collection without a cube, which takes no time to look at."""
     observation = observe(campaign.collection, None, lookup.find).observation
     return observation.axis, {"region": list(observation.toa_reflectance or observation.radiance)}
 
 
-def _opened(campaign: Campaign, lookup: Lookup) -> Offered:
+def _names_of_cube(campaign: Campaign, lookup: Lookup) -> CollectionNames:
     """The collection as it lies on the disk; rules on spectra are not run."""
     collection, detection = campaign.collection, campaign.detection
     plain = collection.model_copy(update={"regions": [], "targets": None, "leave_out": []})
 
-    def opened(**parts: Any) -> Place:
+    def reopen(**parts: Any) -> Place:
         return open_place(plain.model_copy(update=parts), lookup.find)
 
-    place, names = opened(), list[str]()
+    place, names = reopen(), list[str]()
     for i, source in enumerate(collection.regions):
         location = "collection", "regions", i
         if part := source.half or source.ring:
-            lookup.one((*location, "half" if source.half else "ring", "of"), part.of, names, "no region")
+            lookup.require((*location, "half" if source.half else "ring", "of"), part.of, names, "no region")
         if part or source.normalized_difference is not None:
             names.append(str(source.name))
-        elif drawn := lookup.tried(location, opened, regions=[source]):
+        elif drawn := lookup.call(location, reopen, regions=[source]):
             names += drawn.regions
     for name in twice(names):
-        lookup.add(("collection", "regions"), f"two regions are named {name!r}")
+        lookup.add_mistake(("collection", "regions"), f"two regions are named {name!r}")
     offered: dict[str, Sequence[str]] = {"region": names}
-    truth = lookup.tried(("collection", "targets"), opened, targets=collection.targets) if collection.targets else place
+    truth = lookup.call(("collection", "targets"), reopen, targets=collection.targets) if collection.targets else place
     if detection is not None and detection.targets and truth is not None:  # else one mistake would make others
-        lookup.tried(("detection",), check_line_for_detection, truth, collection)
+        lookup.call(("detection",), check_line_for_detection, truth, collection)
         for i, target in enumerate(detection.targets):
             location = "detection", "targets", i
-            groups = lookup.tried((*location, "material"), target_groups, truth.targets, target, detection.group)
+            groups = lookup.call((*location, "material"), target_groups, truth.targets, target, detection.group)
             offered["subject"] = [*offered.get("subject", ()), *(groups or ())]
     if detection and (detection.areas or detection.unmixing) and (truth or place).pixel_area_m2 is None:
         lacks = "areas need the ground area of a pixel, which neither the cube's map nor targets.pixel_size_m states"
-        lookup.add(("detection", "areas" if detection.areas else "unmixing"), lacks)
+        lookup.add_mistake(("detection", "areas" if detection.areas else "unmixing"), lacks)
     return place.cube.axis, offered
 
 
-def _simulated(campaign: Campaign, lookup: Lookup) -> Offered:
+def _names_of_scene(campaign: Campaign, lookup: Lookup) -> CollectionNames:
     """The collection as its scene file says that it will be."""
     collection, detection = campaign.collection, campaign.detection
     file = lookup.find(str(collection.simulate))
@@ -385,7 +385,7 @@ def _simulated(campaign: Campaign, lookup: Lookup) -> Offered:
     for i, panel in enumerate(collection.empirical_line.panels if collection.empirical_line else ()):
         if panel.spectrum.file == f"{SIMULATED}panel_spectra.csv":
             location = "collection", "empirical_line", "panels", i, "spectrum"
-            lookup.one(location, str(panel.spectrum.record), written, "the simulation writes no spectrum")
+            lookup.require(location, str(panel.spectrum.record), written, "the simulation writes no spectrum")
     offered: dict[str, Sequence[str]] = {"region": [*written, *drawn]}
     offered["target of material"] = list(dict.fromkeys(g.material for g in scene.targets))
     if detection is not None and detection.group == "{group}":  # else by columns of what is only to be written

@@ -17,8 +17,8 @@ from pydantic import Field
 
 import hyperval
 from hyperval import attribute
-from hyperval.campaign.products import asked_again, collected, outcomes, predicted_side
-from hyperval.campaign.schema import Job, jobs_of
+from hyperval.campaign.products import attribution_model, observe_campaign, outcomes, predicted_side
+from hyperval.campaign.schema import Job, load_jobs
 from hyperval.config import Model, load_model
 from hyperval.errors import MissingDataError, UsageError, refuse
 from hyperval.executors import in_order, worker_count, workers
@@ -35,8 +35,8 @@ _MOST_NAMED = 4
 SEED, WORLDS = 34, 20  # worlds for each kind of cause
 
 
-class Sight(StrEnum):
-    """How far a campaign sees an error."""
+class DetectedBy(StrEnum):
+    """Which comparisons of a campaign detect an error."""
 
     GATES = "criteria"
     INFORMING = "informational comparisons"
@@ -44,8 +44,8 @@ class Sight(StrEnum):
     NOT_APPLICABLE = "not applicable"
 
 
-class Injected(Model):
-    """What one injected error turns to "disagrees"; of rows that disagree without it nothing is said."""
+class InjectedError(Model):
+    """Comparisons that one injected error turns to "disagrees"; those that disagree without it are left out."""
 
     gates: tuple[str, ...] = Field((), description='criteria that detect it: "product | subject | method | metric"')
     informing: dict[str, int] = Field({}, description="informational rows that detect it, by product")
@@ -53,26 +53,26 @@ class Injected(Model):
     reason: str = Field("", description="what the attribution concludes with it, compared with the unperturbed run")
 
     @property
-    def sight(self) -> Sight:
-        """How far it is seen."""
-        sight = Sight.GATES if self.gates else Sight.INFORMING if self.informing else Sight.UNSEEN
-        return Sight.NOT_APPLICABLE if self.not_applicable else sight
+    def detected_by(self) -> DetectedBy:
+        """Which comparisons detect it."""
+        rows = DetectedBy.GATES if self.gates else DetectedBy.INFORMING if self.informing else DetectedBy.UNSEEN
+        return DetectedBy.NOT_APPLICABLE if self.not_applicable else rows
 
     @property
     def words(self) -> str:
-        """How far it is seen, with numbers."""
+        """How many comparisons detect it."""
         rows, criteria = sum(self.informing.values()), len(self.gates)
         parts = [f"{criteria} {'criterion' if criteria == 1 else 'criteria'}"] if criteria else []
         parts += [f"{rows} informational comparison{'' if rows == 1 else 's'}"] if rows else []
-        return ", ".join(parts) or self.sight
+        return ", ".join(parts) or self.detected_by
 
     @property
-    def which(self) -> str:
+    def detail(self) -> str:
         """What detects it, some by name; or why it cannot be injected.
 
-        >>> Injected(gates=("radiance | lawn | sixs | p_value_shape",)).which
+        >>> InjectedError(gates=("radiance | lawn | sixs | p_value_shape",)).detail
         'shape of the radiance, lawn'
-        >>> Injected(gates=("radiance | a | b | sixs | p_value_shape",)).which  # of the subject 'a | b'
+        >>> InjectedError(gates=("radiance | a | b | sixs | p_value_shape",)).detail  # of the subject 'a | b'
         'shape of the radiance, a | b'
         """
         more = len(self.gates) - _MOST_NAMED
@@ -83,7 +83,7 @@ class Injected(Model):
         return self.not_applicable or criteria or ", ".join(f"{product} {n}" for product, n in self.informing.items())
 
 
-class Reasons(Model):
+class AttributionSkill(Model):
     """What the attribution says where it is known what is wrong: of worlds drawn within the stated uncertainty."""
 
     first: str = Field(description="first cause without an injected error")
@@ -121,8 +121,8 @@ class PowerTable(Model):
     gates: int = Field(ge=0, description="criteria met or inconclusive without an injected error")
     disagreeing: int = Field(ge=0, description="criteria not met without an injected error, which cannot detect any")
     stated: dict[str, float] = Field({}, description="criterion of the model -> its value without an injected error")
-    errors: dict[str, Injected] = Field(min_length=1)
-    reasons: Reasons | None = None
+    errors: dict[str, InjectedError] = Field(min_length=1)
+    reasons: AttributionSkill | None = None
 
     def changed_files(self, inputs: Iterable[Mapping[str, Any]]) -> list[str]:
         """The campaign's own files that are not, or not any more, as they were when the table was computed.
@@ -132,7 +132,7 @@ class PowerTable(Model):
         now = own_files(inputs)
         return sorted(name for name in {*now, *self.files} if now.get(name) != self.files.get(name))
 
-    def moved_gates(self, rows: Iterable[Result]) -> list[str]:
+    def changed_gates(self, rows: Iterable[Result]) -> list[str]:
         """Model gates whose value in a run differs from that when the table was computed."""
         now = gate_values(rows)
         values = {n: (self.stated.get(n, math.nan), now.get(n, math.nan)) for n in {**self.stated, **now}}
@@ -140,23 +140,23 @@ class PowerTable(Model):
         within = {n: default_tolerance(split_key(n)[3]).width(before) for n, (before, _) in values.items()}
         return [n for n, (before, value) in values.items() if not abs(value - before) <= within[n]]
 
-    def stale(self, inputs: Iterable[Mapping[str, Any]], rows: Iterable[Result]) -> str:
+    def outdated(self, inputs: Iterable[Mapping[str, Any]], rows: Iterable[Result]) -> str:
         """Why the table is not of a run of these inputs and rows; empty where it is."""
         if changed := self.changed_files(inputs):
             return f"The table is older than {', '.join(changed)}: run hyperval power again."
-        moved = self.moved_gates(rows)
+        moved = self.changed_gates(rows)
         outdated = f"The table is outdated: {len(moved)} of its criteria had different values ({', '.join(moved[:1])})."
         return f"{outdated} Run hyperval power again." if moved else ""
 
     @property
     def sentence(self) -> str:
         """Which injected errors are detected, in words."""
-        by_sight = {sight: [name for name, one in self.errors.items() if one.sight is sight] for sight in Sight}
-        injected = len(self.errors) - len(by_sight[Sight.NOT_APPLICABLE])
-        parts = [f"The criteria detect {len(by_sight[Sight.GATES])} of {injected} injected model errors."]
-        phrase = {Sight.INFORMING: "Informational comparisons alone detect"}
-        others = [sight for sight in Sight if sight is not Sight.GATES and by_sight[sight]]
-        parts += [f"{phrase.get(s, s.capitalize())}: {', '.join(by_sight[s])}." for s in others]
+        errors_by = {kind: [name for name, e in self.errors.items() if e.detected_by is kind] for kind in DetectedBy}
+        injected = len(self.errors) - len(errors_by[DetectedBy.NOT_APPLICABLE])
+        parts = [f"The criteria detect {len(errors_by[DetectedBy.GATES])} of {injected} injected model errors."]
+        phrase = {DetectedBy.INFORMING: "Informational comparisons alone detect"}
+        others = [kind for kind in DetectedBy if kind is not DetectedBy.GATES and errors_by[kind]]
+        parts += [f"{phrase.get(s, s.capitalize())}: {', '.join(errors_by[s])}." for s in others]
         if self.disagreeing:
             some = "criteria that are" if self.disagreeing > 1 else "criterion that is"
             parts.append(f"{self.disagreeing} {some} already not met cannot detect any.")
@@ -238,7 +238,7 @@ def campaign_power(
     ------
     HypervalError : of any campaign.
     """
-    jobs = jobs_of(*paths)
+    jobs = load_jobs(*paths)
     with whole_folder(output, POWER) if output is not None else nullcontext() as folder:
         with workers(worker_count(len(jobs))) as where:
             tables = list(track(in_order(where, partial(_power, file=errors_file), jobs), "campaigns", len(jobs)))
@@ -253,18 +253,18 @@ def campaign_power(
 @bars(False)
 def _power(job: Job, file: Path | None) -> Power:
     errors, name = attribute.errors_of_file(file) if file else attribute.injected_errors(), job.outline.name
-    if job.waits is not None:
-        return Power(name, skipped=job.waits[0])
+    if job.unavailable is not None:
+        return Power(name, skipped=job.unavailable[0])
     try:
         table, accepted = power_table(job, errors), None if file else accepted_table(name, job.folder)
     except MissingDataError as error:
         return Power(name, skipped=str(error))
-    now, before = ({n: one.sight for n, one in t.errors.items()} for t in (table, accepted or table))
+    now, before = ({n: one.detected_by for n, one in t.errors.items()} for t in (table, accepted or table))
     pairs = {n: [sights.get(n, "not in the table") for sights in (now, before)] for n in dict.fromkeys((*now, *before))}
     return Power(name, table, changes=[f"{n}: {a}, accepted: {b}" for n, (a, b) in pairs.items() if a != b])
 
 
-def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:
+def power_table(job: Job, errors: Mapping[str, attribute.Perturbation]) -> PowerTable:
     """Observe once, predict with each of ``errors``, and compare each time.
 
     Raises
@@ -272,11 +272,11 @@ def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:
     MissingDataError : files of a registered data set that are not on this machine.
     HypervalError : anything else that the user can mend.
     """
-    with collected(job) as collection:
+    with observe_campaign(job) as collection:
         origins = [collection.origins(scenario) for scenario in collection.scenarios]
         stated = [predict(s, o, objects=True) for s, o in zip(collection.scenarios, origins, strict=True)]
 
-        def injected(error: attribute.Family) -> Injected:
+        def inject(error: attribute.Perturbation) -> InjectedError:
             """The comparisons that it changes, and the cause that the attribution finds for it.
 
             The prediction of a scenario that it does not apply to stays.
@@ -289,54 +289,54 @@ def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:
                 except attribute.NotInjectable as why:
                     refused.append(why.what)
             if len(refused) == len(sides):
-                return Injected(not_applicable=refused[0])
+                return InjectedError(not_applicable=refused[0])
             predictions, truths = zip(*sides, strict=True)
-            found = turned(before, outcomes(collection, predicted_side(collection, predictions, truths)))
+            found = outcome_changes(before, outcomes(collection, predicted_side(collection, predictions, truths)))
             (with_it,), level = causes.evaluate([truths], "injected error"), causes.predicted
-            cause = causes.or_rarer(with_it - level, np.arange(level.size), level, causes.of_inputs)
-            reason = " or ".join((cause.first, *cause.confounded[:3])) + (", enough" if cause.enough else "")
+            cause = causes.explain_with_rarer(with_it - level, np.arange(level.size), level, causes.input_columns)
+            reason = " or ".join((cause.first_cause, *cause.confounded[:3])) + ", enough" * cause.is_sufficient
             return found.model_copy(update={"reason": reason})
 
         prediction = predicted_side(collection, stated)
         before = outcomes(collection, prediction)
-        causes = attribute.causes_of(asked_again(collection, prediction))
-        rows = {name: injected(error) for name, error in track(errors.items(), "injected errors", len(errors))}
+        causes = attribute.collect_causes(attribution_model(collection, prediction))
+        rows = {name: inject(error) for name, error in track(errors.items(), "injected errors", len(errors))}
         are_met = [r.outcome is not Outcome.DISAGREES for r in before if r.gates and r.evidence is Evidence.MODEL]
-        files, values, reasons = own_files(collection.inputs.entries()), gate_values(before), _calibrated(causes)
+        files, values, reasons = own_files(collection.inputs.entries()), gate_values(before), _attribution_skill(causes)
         return PowerTable(
             schema=1, campaign=job.campaign.name, version=hyperval.__version__, files=files, gates=sum(are_met),
             disagreeing=len(are_met) - sum(are_met), stated=values, errors=rows, reasons=reasons,
         )  # fmt: skip
 
 
-def _calibrated(causes: attribute.Causes) -> Reasons:
+def _attribution_skill(causes: attribute.Causes) -> AttributionSkill:
     """What the attribution says of worlds drawn within the stated uncertainty, a fixed seed."""
     named, grouped = dict[str, Counter[str]](), Counter[str]()
     stated, wrong = list[tuple[float, bool]](), list[bool]()
-    for kind, found in causes.residuals.whitened()[0].drawn(np.random.default_rng(SEED), WORLDS):
-        first, *group = (attribute.kind_of(name) for name in (found.first, *found.confounded))
+    for kind, found in causes.residuals.whitened()[0].simulate(np.random.default_rng(SEED), WORLDS):
+        first, *group = (attribute.prior_group(name) for name in (found.first_cause, *found.confounded))
         is_named = kind in (first, *group)
         named.setdefault(kind, Counter())[first] += 1
         grouped[kind] += is_named
-        wrong.append(found.enough and not is_named)
+        wrong.append(found.is_sufficient and not is_named)
         if first != attribute.NOTHING:  # that chance explains a small error is no mistake
-            stated.append((found.probability[found.first], first == kind))
+            stated.append((found.probability[found.first_cause], first == kind))
     steps = [(low, [right for p, right in stated if low <= p < low + 0.2]) for low in (0.0, 0.2, 0.4, 0.6, 0.8)]
     calibration = [(low + 0.1, round(sum(hits) / len(hits), 3), len(hits)) for low, hits in steps if hits]
-    standing = causes.standing()[1]
+    standing = causes.explain_residuals()[1]
     chi_square = float(f"{standing.chi_square / standing.dof:.{DIGITS}g}")
-    return Reasons(
-        first=standing.first, reduced_chi_square=chi_square, worlds=len(wrong), named=named, grouped=grouped,
+    return AttributionSkill(
+        first=standing.first_cause, reduced_chi_square=chi_square, worlds=len(wrong), named=named, grouped=grouped,
         wrong_enough=round(sum(wrong) / len(wrong), 4), calibration=calibration, sides=causes.sides(),
     )  # fmt: skip
 
 
-def turned(before: Iterable[Result], after: Iterable[Result]) -> Injected:
-    """What disagrees after and did not before."""
+def outcome_changes(before: Iterable[Result], after: Iterable[Result]) -> InjectedError:
+    """Comparisons that disagree with an injected error and did not without it."""
     wrong, pairs = Outcome.DISAGREES, paired(ResultTable(before), ResultTable(after))
     new = [p.b for p in pairs if p.b and p.b.outcome is wrong and not (p.a and p.a.outcome is wrong)]
     gates = tuple(dict.fromkeys(row.key for row in new if row.gates))
-    return Injected(gates=gates, informing=dict(Counter(row.product for row in new if not row.gates)))
+    return InjectedError(gates=gates, informing=dict(Counter(row.product for row in new if not row.gates)))
 
 
 def _csv(tables: Sequence[Power]) -> str:
@@ -344,5 +344,5 @@ def _csv(tables: Sequence[Power]) -> str:
     for item in tables:
         for name, one in item.table.errors.items() if item.table else ():
             which = one.not_applicable or "; ".join(one.gates)
-            lines.append([item.campaign, name, one.sight, len(one.gates), sum(one.informing.values()), which])
+            lines.append([item.campaign, name, one.detected_by, len(one.gates), sum(one.informing.values()), which])
     return csv_text(lines)

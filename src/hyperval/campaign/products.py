@@ -19,8 +19,8 @@ from rasterio.warp import transform as reproject
 
 from hyperval import model, observe
 from hyperval.atmosphere.solar import parse_utc
-from hyperval.attribute import ScenarioModel, Truths, exchanged_pairs, few_objects, others_in_place, scale_warnings
-from hyperval.campaign.schema import Campaign, Job, scenarios_of
+from hyperval.attribute import ScenarioModel, Truths, exchanged_pairs, few_objects, scale_warnings, substitutions
+from hyperval.campaign.schema import Campaign, Job, load_scenarios
 from hyperval.collection import Detection
 from hyperval.compare import compare_products, judged, marked_as_fitted, would_decide
 from hyperval.compare.spectra import LEAST_OF_NOISE, snr_beside_texture
@@ -62,7 +62,7 @@ def completed_scenario(scenario: Scenario, place: observe.Place | None, detectio
         for p in t.populations
         if p.fill.truth is not None
     }
-    fills = observe.fills_of(_members(place, detection)) if asked else {}
+    fills = observe.fills_of(_objects(place, detection)) if asked else {}
     for path, name in asked.items():
         offered = one_of(fills, "targets from a finer image or from abundances")
         refuse(name not in fills, "fractions.fill", name=name, there=offered)
@@ -77,7 +77,7 @@ def _region_of(surface: BackgroundClass, place: observe.Place) -> str:
     return str(needed(next(names, None), "fractions.region", name=surface.name, regions=regions))
 
 
-def _members(place: observe.Place | None, detection: Detection | None) -> dict[str, list[TargetObject]]:
+def _objects(place: observe.Place | None, detection: Detection | None) -> dict[str, list[TargetObject]]:
     """The objects of the truth by the subject that they are counted with."""
     groups: dict[str, list[TargetObject]] = {}
     if place is not None and detection is not None:
@@ -95,7 +95,7 @@ MAX_PIXEL_RATIO = 1.5
 MAX_LENGTH_RATIO = 1.05
 
 
-def doubts(side: Collected, prediction: Products | None, rows: Sequence[Result]) -> Iterator[str]:
+def contradictions(side: ObservedCampaign, prediction: Products | None, rows: Sequence[Result]) -> Iterator[str]:
     """Warnings where cube and truth say otherwise than a scenario: of time, place and sun, and of its targets.
 
     A prediction of 12 pixels for each object, beside a truth that scores 3, is of another population: its P_D by
@@ -105,10 +105,10 @@ def doubts(side: Collected, prediction: Products | None, rows: Sequence[Result])
     if place is None:
         return
     yield from scale_warnings(rows)
-    where, sun, members = centre_of(place), sun_zenith_deg(place.cube.raster), _members(place, side.campaign.detection)
+    where, sun, truth = cube_centre(place), sun_zenith_deg(place.cube.raster), _objects(place, side.campaign.detection)
     for scenario in side.scenarios:
-        yield from _of_model(side, scenario) if prediction is not None else ()
-        yield from _of_fractions(side.campaign.detection, place, scenario)
+        yield from _model_warnings(side, scenario) if prediction is not None else ()
+        yield from _fraction_warnings(side.campaign.detection, place, scenario)
         named, state = f"scenario {scenario.name!r}", scenario.atmosphere
         if state is not None and state.time_utc is not None:
             yield from time_notes(place.cube.raster.description.entries, parse_utc(str(state.time_utc)), scenario.name)
@@ -122,7 +122,7 @@ def doubts(side: Collected, prediction: Products | None, rows: Sequence[Result])
             lies = f"at latitude {where[0]:.3f}, longitude {where[1]:.3f}, {km:.0f} km from the place of {named}"
             yield from [f"warning: the cube lies {lies} ({latitude:g}, {longitude:g})"] if km > MAX_KM else []
         for population in (p for item in scenario.scene.targets for p in item.populations):
-            if differences := ", ".join(_differences(place, population.fill, members.get(population.name, ()))):
+            if differences := ", ".join(_object_differences(place, population.fill, truth.get(population.name, ()))):
                 yield f"warning: {population.name!r} of {named}: {differences}"
 
 
@@ -133,7 +133,7 @@ ALL_OF_IT = 0.95  # of the background: regions that hold less of it do not tell 
 MAX_FRACTION = 0.02  # by which P_FA at 0.1 is some 3 % off where classes differ much
 
 
-def _of_fractions(detection: Detection | None, place: observe.Place, scenario: Scenario) -> Iterator[str]:
+def _fraction_warnings(detection: Detection | None, place: observe.Place, scenario: Scenario) -> Iterator[str]:
     """A warning where the pixels that false alarms are counted on are another mixture of classes than is stated.
 
     >>> from types import SimpleNamespace as Of
@@ -142,7 +142,7 @@ def _of_fractions(detection: Detection | None, place: observe.Place, scenario: S
     >>> where = {"spectrum": Of(measured=None), "covariance": None, "fraction": 0.5}
     >>> classes = [Of(name="field", **where), Of(name="lawn", **where | {"spectrum": Of(measured="court")})]
     >>> stated = Of(name="x", scene=Of(fractions="stated", classes=classes))
-    >>> next(_of_fractions(Of(false_alarms=["scene"]), place, stated))[9:84]
+    >>> next(_fraction_warnings(Of(false_alarms=["scene"]), place, stated))[9:84]
     "'field' is 0.625 of the pixels that false alarms are counted on (no target,"
     """
     classes, regions = scenario.scene.classes, list[str]()
@@ -161,7 +161,7 @@ def _of_fractions(detection: Detection | None, place: observe.Place, scenario: S
         yield f"warning: {one.name!r} is {share:.3g} {where}, and {stated}"
 
 
-def _of_model(side: Collected, scenario: Scenario) -> Iterator[str]:
+def _model_warnings(side: ObservedCampaign, scenario: Scenario) -> Iterator[str]:
     """Warnings where bands of the image are not as wide as the sensor's, or its filters look for another spectrum."""
     detected, detection, place = side.observed.detected, side.campaign.detection, side.observed.place
     stated, axis = model.read_world(scenario, side.origins(scenario)).stated, side.observed.observation.axis
@@ -182,7 +182,7 @@ def _of_model(side: Collected, scenario: Scenario) -> Iterator[str]:
                     yield f"warning: filters of {target.name!r} look for another spectrum {words} (filter_spectrum)"
 
 
-def centre_of(place: observe.Place) -> tuple[float, float] | None:
+def cube_centre(place: observe.Place) -> tuple[float, float] | None:
     """Latitude and longitude of the middle of the cube [degrees], by its map or its table; None without."""
     raster, table = place.cube.raster, place.table
     of_map = raster.transform and raster.transform @ (raster.samples / 2.0, raster.lines / 2.0)
@@ -193,7 +193,7 @@ def centre_of(place: observe.Place) -> tuple[float, float] | None:
     return (latitude, longitude) if math.isfinite(latitude) and math.isfinite(longitude) else None
 
 
-def _differences(place: observe.Place, fill: Fill, members: Sequence[TargetObject]) -> Iterator[str]:
+def _object_differences(place: observe.Place, fill: Fill, members: Sequence[TargetObject]) -> Iterator[str]:
     """How a scenario's objects differ from those of the truth, in pixels on average over their places on the grid."""
     geometry = fill.geometry
     if geometry is None or not members:
@@ -213,7 +213,7 @@ def _differences(place: observe.Place, fill: Fill, members: Sequence[TargetObjec
 
 
 @dataclass(frozen=True)
-class Collected:
+class ObservedCampaign:
     """A campaign and what its collection says, while the files, simulated ones too, are there."""
 
     campaign: Campaign
@@ -262,9 +262,9 @@ class Collected:
 
 
 @contextmanager
-def collected(
+def observe_campaign(
     job: Job, *, question: Callable[[Sequence[Scenario], InputLog], Campaign] | None = None
-) -> Iterator[Collected]:
+) -> Iterator[ObservedCampaign]:
     """Read the scenarios of a campaign, simulate its collection where it is simulated, and observe it once.
 
     Parameters
@@ -278,7 +278,7 @@ def collected(
     """
     campaign, inputs = job.campaign, InputLog.of_file(job.path)
     with ExitStack() as stack:
-        read = partial(scenarios_of, resolve=inputs.resolve, base=inputs.base, words=job.words)
+        read = partial(load_scenarios, resolve=inputs.resolve, base=inputs.base, words=job.words)
         scenarios = [one for source in campaign.scenarios for one, *_ in read(source)]
         seed = None
         if campaign.collection.simulate:
@@ -295,11 +295,11 @@ def collected(
         for path in observed.place.source_files if observed.place is not None else ():  # such as a cube's header
             inputs.add(path)
         scenarios = [completed_scenario(scenario, observed.place, campaign.detection) for scenario in scenarios]
-        yield Collected(campaign, inputs, scenarios, observed, seed)
+        yield ObservedCampaign(campaign, inputs, scenarios, observed, seed)
 
 
 def predicted_side(
-    side: Collected, predictions: Sequence[PredictedProducts], truths: Sequence[model.Truth] | None = None
+    side: ObservedCampaign, predictions: Sequence[PredictedProducts], truths: Sequence[model.Truth] | None = None
 ) -> PredictedProducts:
     """The predicted side: the predictions, and those that depend on the settings of the campaign.
 
@@ -330,7 +330,7 @@ def predicted_side(
 
 
 def joined_prediction(
-    side: Collected, scenarios: Sequence[Scenario], predictions: Sequence[PredictedProducts]
+    side: ObservedCampaign, scenarios: Sequence[Scenario], predictions: Sequence[PredictedProducts]
 ) -> PredictedProducts:
     """The predictions of scenarios in one, without what came from its collection, and with the campaign's pools.
 
@@ -392,7 +392,7 @@ _BANDS = ("windows", "good", "all")  # that detectors may be given
 OBJECT_DRAWS = 1600  # of an object's score: the same each time, so that differences are free of their scatter
 
 
-def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
+def outcomes(side: ObservedCampaign, prediction: PredictedProducts) -> list[Result]:
     """Every comparison of a campaign with its outcome.
 
     It needs no second look at the collection, so that it can be called for a prediction that was moved.
@@ -409,36 +409,36 @@ def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
     return marked_as_fitted(judged(rows, campaign.comparisons), fitted_on, pools)
 
 
-def undecided(side: Collected, rows: Iterable[Result], prediction: Products) -> list[tuple[Result, str]]:
+def undecided_criteria(side: ObservedCampaign, rows: Iterable[Result], predicted: Products) -> list[tuple[Result, str]]:
     """The inconclusive criteria, each with what would have to be known better, or counted, to decide it."""
-    sides = prediction, side.observed.observation, side.campaign.fitted_on
+    sides = predicted, side.observed.observation, side.campaign.fitted_on
     found = [(row, would_decide(row, *sides)) for row in rows if row.gates and row.outcome is Outcome.UNDECIDED]
     return [(row, words) for row, words in found if words]
 
 
 @bars(False)
-def undecided_by(job: Job) -> list[tuple[Result, str]]:
+def undecided_criteria_of(job: Job) -> list[tuple[Result, str]]:
     """Those of a campaign whose collection takes no time to look at."""
-    with collected(job) as side:
+    with observe_campaign(job) as side:
         prediction = predicted_side(side, [model.predict(s, side.origins(s)) for s in side.scenarios])
-        return undecided(side, outcomes(side, prediction), prediction)
+        return undecided_criteria(side, outcomes(side, prediction), prediction)
 
 
-def asked_again(side: Collected, prediction: Products) -> ScenarioModel:
+def attribution_model(side: ObservedCampaign, prediction: Products) -> ScenarioModel:
     """What attribution asks: the scenarios with something moved, and the collection, measured again.
 
     A signal-to-noise ratio that is in part texture is not asked about.
     """
 
-    def of_noise(products: Products) -> Products:
+    def valid_snr(products: Products) -> Products:
         kept = {s: e for s, e in products.snr.items() if np.median(snr_beside_texture(prediction, s)) >= LEAST_OF_NOISE}
         return replace(products, snr=kept)
 
-    observation = of_noise(side.observed.observation)
+    observation = valid_snr(side.observed.observation)
     # Where every object is one pixel, the scores of pixels say the same.
     draws = OBJECT_DRAWS if any(few_objects(observation, *key) for key in observation.object_scores) else False
 
-    def of_truths(scenario: Scenario, truths: Sequence[model.Truth], budgeted: bool) -> Iterator[PredictedProducts]:
+    def predict_truths(scenario: Scenario, truths: Truths, budgeted: bool) -> Iterator[PredictedProducts]:
         # Scores and false alarms of pixels and draws of objects are looked at, not curves of objects, and
         # not what takes draws of its own for each of a hundred truths.
         closed = [name for name in scenario.processing.detectors if name not in NUMERICAL_DETECTORS]
@@ -450,47 +450,46 @@ def asked_again(side: Collected, prediction: Products) -> ScenarioModel:
     # Predicted once, however often nothing is moved in it; the scenario is kept, whose number another would get.
     as_stated: dict[int, tuple[Scenario, PredictedProducts]] = {}
 
-    def moved_side(scenario: Scenario, truths: Sequence[model.Truth], budgeted: bool) -> Iterator[PredictedProducts]:
-        moved = of_truths(scenario, [truth for truth in truths if truth], budgeted)
+    def predict_scenario(scenario: Scenario, truths: Truths, budgeted: bool) -> Iterator[PredictedProducts]:
+        moved = predict_truths(scenario, [truth for truth in truths if truth], budgeted)
         for truth in truths:
             if not truth and id(scenario) not in as_stated:
-                as_stated[id(scenario)] = scenario, next(of_truths(scenario, [{}], True))
+                as_stated[id(scenario)] = scenario, next(predict_truths(scenario, [{}], True))
             yield next(moved) if truth else as_stated[id(scenario)][1]
 
     def predicted(scenarios: Sequence[Scenario], truths: Sequence[Truths], budgeted: bool) -> Iterator[Products]:
-        sides = [moved_side(s, [truth[i] for truth in truths], budgeted) for i, s in enumerate(scenarios)]
+        sides = [predict_scenario(s, [truth[i] for truth in truths], budgeted) for i, s in enumerate(scenarios)]
         return (joined_prediction(side, scenarios, parts) for parts in zip(*sides, strict=True))
 
-    def measured_again(changes: Mapping[str, Any], mistake: Mapping[str, Any]) -> Products:
+    def remeasure(changes: Mapping[str, Any], mistake: Mapping[str, Any]) -> Products:
         if "exchanged" in mistake and not side.observed.place:
             one, other = mistake["exchanged"]
             names, sites = {one: other, other: one}, side.campaign.collection.spectra
             swapped = [s.model_copy(update={"subject": names.get(s.subject, s.subject)}) for s in sites]
             changes = {"collection.spectra": swapped}
-        campaign = with_settings(side.campaign, changes)  # no residual is an area; of displaced regions spectra tell
-        detection = None if mistake.get("regions") else campaign.detection
+        changed = with_settings(side.campaign, changes)  # no residual is an area; of displaced regions spectra tell
+        detection = None if mistake.get("regions") else changed.detection
         detection = detection and detection.model_copy(update={"unmixing": None, "areas": []})
-        before = side.observed if campaign.collection == side.campaign.collection else None
+        before = side.observed if changed.collection == side.campaign.collection else None
         if before is not None and before.place is not None and mistake:
-            bands_are_off = {"nm", "scale"} & set(mistake)  # regions by rule are then elsewhere too
-            opened = partial(observe.open_place, campaign.collection, side.inputs.resolve, mistake)
-            place = opened() if bands_are_off else before.place
+            is_shifted = {"nm", "scale"} & set(mistake)  # regions by rule are then elsewhere too
+            place = observe.open_place(changed.collection, side.inputs.resolve, mistake) if is_shifted else before.place
             same_pixels = not {"gain", "offset", "nm", "scale"} & mistake.keys()
             before = replace(before, place=place.mistaken(mistake), sampling=before.sampling if same_pixels else {})
-        return of_noise(observe.observe(campaign.collection, detection, side.inputs.resolve, before=before).observation)
+        return valid_snr(observe.observe(changed.collection, detection, side.inputs.resolve, before=before).observation)
 
-    looked_for = spectra_of(side.campaign.detection.targets if side.campaign.detection else ())
+    looked_for = spectrum_entries(side.campaign.detection.targets if side.campaign.detection else ())
     worlds = [model.read_world(scenario, side.origins(scenario)) for scenario in side.scenarios]
     sides = observation, prediction
-    return ScenarioModel(side.scenarios, worlds, predicted, *sides, measured_again, exchanges_of(side), looked_for)
+    return ScenarioModel(side.scenarios, worlds, predicted, *sides, remeasure, exchange_settings(side), looked_for)
 
 
-def spectra_of(items: Iterable[Any], key: str = "name") -> dict[str, Any]:
+def spectrum_entries(items: Iterable[Any], key: str = "name") -> dict[str, Any]:
     """The entry of each spectrum as in the file, by name or another ``key``."""
     return {getattr(one, key): one.spectrum.model_dump(exclude_none=True, exclude_defaults=True) for one in items}
 
 
-def exchanges_of(side: Collected) -> dict[str, tuple[Mapping[Any, Mapping[str, Any]], str]]:
+def exchange_settings(side: ObservedCampaign) -> dict[str, tuple[Mapping[Any, Mapping[str, Any]], str]]:
     """What may be exchanged in a collection: the settings of each pair, and "".
 
     For a limit of a rule: the settings by number of steps, and the step.
@@ -504,7 +503,7 @@ def exchanges_of(side: Collected) -> dict[str, tuple[Mapping[Any, Mapping[str, A
     >>> panels = [PanelReference(region=f"of {x}", spectrum={"constant": x}) for x in (0.1, 0.2)]
     >>> collection = Of(empirical_line=Of(panels=panels), targets=truth, regions=drawn)
     >>> campaign = Of(collection=collection, detection=detection)
-    >>> found = exchanges_of(Of(campaign=campaign, scenarios=[], observed=Of(place=Of(regions=["lawn", "lot"]))))
+    >>> found = exchange_settings(Of(campaign=campaign, scenarios=[], observed=Of(place=Of(regions=["lawn", "lot"]))))
     >>> pairs, _ = found["exchanged materials of the truth"]
     >>> len(pairs), list(pairs["red and blue"].items())[0]
     (3, ('collection.targets.rasters.materials.[red]', 'blue.hdr'))
@@ -519,10 +518,10 @@ def exchanges_of(side: Collected) -> dict[str, tuple[Mapping[Any, Mapping[str, A
     """
     collection, detection, place = side.campaign.collection, side.campaign.detection, side.observed.place
     line, rasters = collection.empirical_line, collection.targets and collection.targets.rasters
-    panels = exchanged_pairs(spectra_of(line.panels if line else (), "region"))
+    panels = exchanged_pairs(spectrum_entries(line.panels if line else (), "region"))
     materials = exchanged_pairs(rasters.materials if rasters else {})
-    of_model = spectra_of(target for scenario in side.scenarios for target in scenario.scene.targets)
-    in_place = others_in_place(spectra_of(detection.targets if detection else ()), of_model, "of the model")
+    of_model = spectrum_entries(target for scenario in side.scenarios for target in scenario.scene.targets)
+    in_place = substitutions(spectrum_entries(detection.targets if detection else ()), of_model, "of the model")
     looked_for = in_place if len(in_place) <= _MOST_TRIED else {}
     background = detection.background if detection and place else []
     names = [name for name in (*place.regions, observe.SCENE) if [name] != background] if place and background else []

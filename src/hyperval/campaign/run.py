@@ -19,11 +19,11 @@ from typing import Any, Literal, NamedTuple
 
 import hyperval
 from hyperval.attribute import attribute
+from hyperval.campaign import products
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.power import accepted_table
-from hyperval.campaign.products import Collected, asked_again, collected, doubts, outcomes, predicted_side, undecided
 from hyperval.campaign.provenance import record_of
-from hyperval.campaign.schema import Campaign, Job, Outline, job_of, jobs_of
+from hyperval.campaign.schema import Campaign, Job, Outline, load_job, load_jobs
 from hyperval.compare import product_rows
 from hyperval.datasets import SIMULATED, InputLog, owner_of, resolve
 from hyperval.errors import HypervalError, MissingDataError, refuse, words_and_code
@@ -54,20 +54,20 @@ def run_campaign(job: Job, *, predicts: bool = True, with_observed: Callable[[Ob
     ------
     HypervalError : anything else that the user can mend.
     """
-    if job.waits is not None:
-        return unfinished(job, Outcome.SKIPPED, *job.waits)
+    if job.unavailable is not None:
+        return uncompared_run(job, Outcome.SKIPPED, *job.unavailable)
     name = job.campaign.name
     try:
         with ExitStack() as stack:
-            with step_of(name, "observe", predicts):
-                side = stack.enter_context(collected(job))
+            with campaign_step(name, "observe", predicts):
+                side = stack.enter_context(products.observe_campaign(job))
                 with_observed(side.observed)
             sides = []
             if predicts:
-                with step_of(name, "predict"):
+                with campaign_step(name, "predict"):
                     sides = [predict(s, side.origins(s), objects=True) for s in side.scenarios]
-            with step_of(name, "compare" if predicts else "summarise", predicts):
-                return _report(side, sides)
+            with campaign_step(name, "compare" if predicts else "summarise", predicts):
+                return _compare_sides(side, sides)
     except MissingDataError as error:
         if not predicts:  # nothing but the collection was asked for
             raise
@@ -75,48 +75,48 @@ def run_campaign(job: Job, *, predicts: bool = True, with_observed: Callable[[Ob
         owners = [owner_of(file.text) for file in job.files if file.path is None]
         sets = list(dict.fromkeys(owner.name for owner in owners if owner is not None))
         remedy = f"hyperval data fetch {' '.join(sets)}" if len(sets) > 1 else error.mend or ""
-        return unfinished(job, Outcome.SKIPPED, f"{error.where}: {error.what}\n  to fix it: {remedy}", remedy)
+        return uncompared_run(job, Outcome.SKIPPED, f"{error.where}: {error.what}\n  to fix it: {remedy}", remedy)
 
 
-def step_of(campaign: str, what: str, predicts: bool = True) -> AbstractContextManager[None]:
+def campaign_step(campaign: str, what: str, predicts: bool = True) -> AbstractContextManager[None]:
     """Progress bars within say which campaign and which of its steps they belong to."""
     steps = ("observe", "predict", "compare", "report") if predicts else ("observe", "summarise", "report")
     return step(campaign, steps.index(what) + 1, len(steps), what)
 
 
-def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
+def _compare_sides(side: products.ObservedCampaign, predicted: Sequence[PredictedProducts]) -> Run:
     """What both sides say, compared and judged; what the collection says where nothing was predicted."""
     campaign, scenarios, observed = side.campaign, side.scenarios, side.observed
     prediction, power, deciding = None, None, list[tuple[Result, str]]()
     if predicted:
-        power, prediction = accepted_table(campaign.name, side.inputs.base), predicted_side(side, predicted)
-        rows = outcomes(side, prediction)
-        deciding = undecided(side, rows, prediction)
+        power, prediction = accepted_table(campaign.name, side.inputs.base), products.predicted_side(side, predicted)
+        rows = products.outcomes(side, prediction)
+        deciding = products.undecided_criteria(side, rows, prediction)
         reason_of = {id(row): f"{row.reason}; it takes {words}".removeprefix("; ") for row, words in deciding}
         rows = [replace(row, reason=reason_of[id(row)]) if id(row) in reason_of else row for row in rows]
         if campaign.attribution is not None:  # why the two sides differ
             since = (reasons.sides, reasons.reduced_chi_square) if power and (reasons := power.reasons) else None
-            asked = asked_again(side, prediction), campaign.attribution, since
+            asked = products.attribution_model(side, prediction), campaign.attribution, since
             rows += attribute(*asked, simulated=bool(campaign.simulated))
     else:
         rows = list(product_rows(observed.observation, "observed"))
     notes = ["the collection is imagery and truth that DIRSIG made"] if campaign.simulated == "dirsig" else []
-    notes += [*campaign.assumptions, *observed.observation.notes, *doubts(side, prediction, rows)]
+    notes += [*campaign.assumptions, *observed.observation.notes, *products.contradictions(side, prediction, rows)]
     notes += prediction.notes if prediction else ()
     configuration, sides = {"campaign": campaign}, [observed.observation, *predicted]
     provenance = record_of(side.inputs, scenarios, side.seed, configuration, sides)
     if predicted and campaign.attribution and any(s.atmosphere and s.atmosphere.engine == "sixs" for s in scenarios):
         provenance["engines"]["attribution"] = {"atmosphere": STEPS_OF_REASONS}
-    return report_of(
+    return build_run(
         campaign, rows, kind="Campaign" if predicted else "Collection of campaign", provenance=provenance,
         products={"predicted": prediction, "observed": observed.observation}, quicklook=quicklook(observed),
         score_maps=score_maps(observed, campaign.detection, prediction, rows), deciding=deciding,
-        power=(power, power.stale(provenance["inputs"], rows)) if power else None,
-        notes=list(dict.fromkeys(notes)), chosen_after=campaign.every_choice(),
+        power=(power, power.outdated(provenance["inputs"], rows)) if power else None,
+        notes=list(dict.fromkeys(notes)), chosen_after=campaign.all_choices(),
     )  # fmt: skip
 
 
-def report_of(campaign: Outline, rows: Iterable[Result], **more: Any) -> Run:
+def build_run(campaign: Outline, rows: Iterable[Result], **more: Any) -> Run:
     """What a campaign's file and its rows alone say; ``more`` : other fields of :class:`hyperval.run.Run`."""
     fields: dict[str, Any] = {name: getattr(campaign, name) for name in ("title", "description", "references")}
     if isinstance(campaign, Campaign) and campaign.collection.radcalnet is not None:  # by a network
@@ -125,19 +125,19 @@ def report_of(campaign: Outline, rows: Iterable[Result], **more: Any) -> Run:
     return Run(table, campaign=campaign.name, simulated=bool(campaign.simulated), **fields, **more)
 
 
-def unfinished(job: Job, outcome: Outcome, reason: str, remedy: str = "") -> Run:
+def uncompared_run(job: Job, outcome: Outcome, reason: str, remedy: str = "") -> Run:
     """The planned comparisons of a campaign that could not be made, each as a row."""
     campaign = job.outline
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.BROKEN
     rows = [gate.unmade(subject, outcome, cause, reason) for gate in campaign.comparisons for subject in gate.subjects]
     record = record_of(InputLog.of_file(job.path), [], None, {"campaign": campaign}, [])
-    return report_of(campaign, rows, provenance=record, notes=[reason, *campaign.assumptions], remedy=remedy)
+    return build_run(campaign, rows, provenance=record, notes=[reason, *campaign.assumptions], remedy=remedy)
 
 
 # What need not run again ----------------------------------------------------------------------------------------------
 
 
-def made_of(job: Job, files: Mapping[str, str]) -> str:
+def inputs_digest(job: Job, files: Mapping[str, str]) -> str:
     """A digest of everything that a campaign's results follow from.
 
     What else stood on the command line is none of it, nor what the campaign's file says of other runs: a campaign or
@@ -151,16 +151,16 @@ def made_of(job: Job, files: Mapping[str, str]) -> str:
     digests = {log.resolve(name): digest for name, digest in files.items()}
     if job.words:  # one of several runs: what the file says of this one is below
         digests.pop(job.path.resolve(), None)
-    configuration = {"campaign": job.campaign, "words": dict(job.words), "program": _program()}
+    configuration = {"campaign": job.campaign, "words": dict(job.words), "program": _program_digest()}
     inner = record_of(log, [], None, configuration, [])
     inner |= {"command": None, "source_revision": None}  # a commit that leaves the program as it is
     power = repr(accepted_table(job.campaign.name, job.folder))
-    inner |= {"inputs": sorted(digests.values()), "named": _named(job), "power": power}
+    inner |= {"inputs": sorted(digests.values()), "named": _named_files(job), "power": power}
     return hashlib.sha256(json.dumps(inner, sort_keys=True, default=str).encode()).hexdigest()
 
 
 @cache
-def _program() -> str:
+def _program_digest() -> str:
     """A digest of the package's own files: a checkout may change under one version."""
     digest, root = hashlib.sha256(), Path(hyperval.__file__).parent
     for path in (p for p in files_within(root) if p.suffix != ".pyc"):
@@ -168,7 +168,7 @@ def _program() -> str:
     return digest.hexdigest()
 
 
-def _named(job: Job) -> list[str]:
+def _named_files(job: Job) -> list[str]:
     """The names of the files that a campaign names, and that the reader of its cube finds beside it.
 
     Others come and go: but a pattern may match one more, and a grid or a header that comes later is read.
@@ -195,16 +195,16 @@ class CampaignRun(NamedTuple):
     earlier: Path | None
     raises: bool
 
-    def unchanged(self) -> Run | None:
+    def find_unchanged(self) -> Run | None:
         """The report of a campaign that stands whole, without its arrays; what does not is removed.
 
         Files of an earlier run are copied; what else stands there stays.
         """
-        if run := unchanged_run(self.job, self.folder):
+        if run := find_unchanged_run(self.job, self.folder):
             return run
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir(parents=True)
-        if self.earlier is None or (run := unchanged_run(self.job, self.earlier)) is None:
+        if self.earlier is None or (run := find_unchanged_run(self.job, self.earlier)) is None:
             return None
         for name in (*json.loads((self.earlier / RECORD).read_bytes())["outputs"], RECORD):
             (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -218,17 +218,17 @@ class CampaignRun(NamedTuple):
         except Exception as error:  # one broken campaign must not hide what the others say
             if self.raises:
                 raise
-            return self.failed(error)
-        return self.written(run, code)
+            return self.write_error(error)
+        return self.write(run, code)
 
-    def failed(self, error: Exception) -> Done:
+    def write_error(self, error: Exception) -> Done:
         """What stopped it, as its rows."""
         words, code = words_and_code(error)
-        return self.written(unfinished(self.job, Outcome.ERROR, words), code)
+        return self.write(uncompared_run(self.job, Outcome.ERROR, words), code)
 
-    def written(self, run: Run, code: int | None) -> Done:
+    def write(self, run: Run, code: int | None) -> Done:
         """Write its folder, and what it was made of, unless it was skipped or an error ended it."""
-        with step_of(run.campaign, "report"), working("figures and report"):
+        with campaign_step(run.campaign, "report"), working("figures and report"):
             write_outputs(run, self.folder)
         if not any(row.cause in (Cause.NO_DATA, Cause.BROKEN) for row in run.table):
             read = {i["reference"]: i["sha256"] for i in run.provenance["inputs"]}
@@ -236,26 +236,26 @@ class CampaignRun(NamedTuple):
             with suppress(OSError, HypervalError):  # a file of elsewhere, which the provenance names without its folder
                 written = [path for path in files_within(self.folder) if path.name != RECORD]
                 outputs = {path.relative_to(self.folder).as_posix(): sha256_of(path) for path in written}
-                record = {"made_of": made_of(self.job, files), "files": list(files), "outputs": outputs}
+                record = {"made_of": inputs_digest(self.job, files), "files": list(files), "outputs": outputs}
                 write_text(self.folder / RECORD, json.dumps(record, indent=1, sort_keys=True) + "\n")
         table = ResultTable(row for row in run.table if row.planned or not row.per_band)  # most are of single bands
         return replace(run, table=table, products={}, score_maps={}, quicklook=None), code
 
 
-def unchanged_run(job: Job, folder: Path) -> Run | None:
+def find_unchanged_run(job: Job, folder: Path) -> Run | None:
     """The report that stands whole in ``folder``, without its arrays, where it is unchanged."""
     with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, HypervalError):
         record, log = json.loads((folder / RECORD).read_bytes()), InputLog(job.folder)
         files = {name: sha256_of(log.resolve(name)) for name in record["files"]}
         is_whole = all(sha256_of(folder / name) == digest for name, digest in record["outputs"].items())
-        if record["outputs"] and is_whole and record["made_of"] == made_of(job, files):
-            return report_of(job.campaign, read_rows(folder, every=False))
+        if record["outputs"] and is_whole and record["made_of"] == inputs_digest(job, files):
+            return build_run(job.campaign, read_rows(folder, every=False))
     return None
 
 
 def _run_all(pieces: Sequence[CampaignRun], scheduler: str | None, tell: Callable[[str], None]) -> list[Done]:
     """Run what has changed; the result does not depend on the number or the place of the processes."""
-    done: dict[int, Done] = {i: (run, None) for i, piece in enumerate(pieces) if (run := piece.unchanged())}
+    done: dict[int, Done] = {i: (run, None) for i, piece in enumerate(pieces) if (run := piece.find_unchanged())}
     for run, _ in done.values():
         tell(f"{run.campaign}: unchanged since the earlier run, whose results are kept (--again repeats it)")
     todo = [i for i in range(len(pieces)) if i not in done]
@@ -265,7 +265,7 @@ def _run_all(pieces: Sequence[CampaignRun], scheduler: str | None, tell: Callabl
         try:
             done |= zip(todo, track(results, "campaigns", len(todo), show=False if one_process else None), strict=False)
         except WorkersLostError as error:  # the campaigns whose results are not there yet
-            done |= {i: pieces[i].failed(error) for i in todo if i not in done}
+            done |= {i: pieces[i].write_error(error) for i in todo if i not in done}
     return [done[i] for i in range(len(pieces))]
 
 
@@ -296,7 +296,7 @@ def validate(
     written.  Of several, those that are finished stand in ``OUTPUT/.hyperval-partial`` until the results are whole:
     the same command goes on from there.
     """
-    jobs = jobs_of(*paths)
+    jobs = load_jobs(*paths)
     with whole_folder(output, beside=(one.path for job in jobs for one in job.files)) as folder:
         earlier = None if again else output.resolve()
         if len(jobs) == 1:
@@ -327,7 +327,7 @@ def observe(path: Path, output: Path, *, write_reflectance: Literal["envi", "cog
     ------
     UsageError : a reflectance cube is asked for and the collection has no empirical line.
     """
-    job, notes = job_of(Path(path), predicts=False), list[str]()
+    job, notes = load_job(Path(path), predicts=False), list[str]()
     with whole_folder(output, beside=(one.path for one in job.files)) as folder:
         refuse(write_reflectance and job.campaign.collection.empirical_line is None, "campaign.line", path)
 
@@ -337,6 +337,6 @@ def observe(path: Path, output: Path, *, write_reflectance: Literal["envi", "cog
                 notes.append(reflectance_cube(*reflectance, write_reflectance)[1])
 
         run = run_campaign(job, predicts=False, with_observed=cube)
-        with step_of(run.campaign, "report", predicts=False), working("figures and report"):
+        with campaign_step(run.campaign, "report", predicts=False), working("figures and report"):
             write_outputs(replace(run, notes=[*run.notes, *notes]), folder)
     return 0

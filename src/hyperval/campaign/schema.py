@@ -82,7 +82,7 @@ class DayScenarios(Model):
     times: list[str] = Field([], description="half hours, such as 04:00; empty: all with values")
 
 
-def _kind(entry: Any) -> str:
+def _source_tag(entry: Any) -> str:
     """Which of the three an entry of a campaign's list is; a mistake in it is told of that one alone."""
     if isinstance(entry, DayScenarios) or (isinstance(entry, Mapping) and {*DayScenarios.model_fields} & {*entry}):
         return "(day)"
@@ -91,11 +91,11 @@ def _kind(entry: Any) -> str:
 
 ScenarioSource = Annotated[
     Annotated[DayScenarios, Tag("(day)")] | Annotated[Scenario, Tag("(scenario)")] | Annotated[str, Tag("(name)")],
-    Discriminator(_kind),
+    Discriminator(_source_tag),
 ]
 
 
-def scenarios_of(
+def load_scenarios(
     source: DayScenarios | Scenario | str, resolve: Callable[[str], Path], base: Path, words: Mapping[str, str]
 ) -> Iterator[tuple[Scenario, Path | None, dict[Location, int]]]:
     """The scenarios that one entry of a campaign stands for, each with its file and the lines of its entries there.
@@ -180,7 +180,7 @@ class Outline(Model):
     )
     comparisons: list[Gate] = Field([], description="what validate compares; observe needs none")
 
-    def every_choice(self) -> list[tuple[str, str]]:
+    def all_choices(self) -> list[tuple[str, str]]:
         """What was set after the campaign's own data were seen, each with what it was before."""
         after = [g for g in self.comparisons if g.chosen_after]
         gates = [(f"{g.product} {g.metric} of {', '.join(g.subjects)}: {g.limit_text}", g.before) for g in after]
@@ -230,7 +230,7 @@ class Reference:
     base: Path
 
     @property
-    def found(self) -> tuple[Path | None, str]:
+    def path_or_problem(self) -> tuple[Path | None, str]:
         """Where the file is; None, and what to do about it, where it is not at hand."""
         try:
             return resolve(self.text, self.base), ""
@@ -242,7 +242,7 @@ class Reference:
     @property
     def path(self) -> Path | None:
         """Where the file is, None when it is not at hand."""
-        return self.found[0]
+        return self.path_or_problem[0]
 
 
 @dataclass(frozen=True)
@@ -274,10 +274,10 @@ class Job:
         return validate(Campaign, self.content, self.lines, str(self.path))
 
     @property
-    def observing(self) -> Job:
+    def without_model(self) -> Job:
         """What is observed of it: without the model, where values are still to be filled in, which that may need."""
         content = {key: value for key, value in self.content.items() if key not in ("scenarios", "comparisons")}
-        return _named_in(self.path, content, self.lines, self.words) if self.to_fill_in else self
+        return _build_job(self.path, content, self.lines, self.words) if self.to_fill_in else self
 
     @cached_property
     def outline(self) -> Outline:
@@ -289,17 +289,17 @@ class Job:
         return validate(Outline, content, self.lines, str(self.path))
 
     @cached_property
-    def waits(self) -> tuple[str, str] | None:
+    def unavailable(self) -> tuple[str, str] | None:
         """Why it cannot be tried here, and what to do: its collection is not public, and no file of it is at hand."""
         owners = {r: owner for r in self.files if (owner := owner_of(r.text)) and not owner.public}
         if not self.to_fill_in or not owners or any(r.path is not None for r in owners):
             return None
         first, owner = next(iter(owners.items()))
         more = f"{len(self.to_fill_in)} values are to be filled in then (hyperval validate --dry-run lists them)"
-        return f"{owner.name} is not on this machine: {first.found[1]}; {more}", first.found[1]
+        return f"{owner.name} is not on this machine: {first.path_or_problem[1]}; {more}", first.path_or_problem[1]
 
     @property
-    def lacking(self) -> list[str]:
+    def missing_keys(self) -> list[str]:
         """What it has not, without which a collection can only be observed."""
         return [key for key in ("scenarios", "comparisons") if not self.content.get(key)]
 
@@ -308,12 +308,12 @@ class Job:
         for one in (file for file in self.files if file.text.startswith(PREFIX)):
             with suppress(InputError), told_of(f"{self.path}: {one.key}", one.text):
                 resolve(one.text)
-        refuse(compares and self.lacking, "campaign.lacking", self.path, keys=" and no ".join(self.lacking))
-        if self.to_fill_in and self.waits is None:
+        refuse(compares and self.missing_keys, "campaign.lacking", self.path, keys=" and no ".join(self.missing_keys))
+        if self.to_fill_in and self.unavailable is None:
             raise unfilled(list(self.to_fill_in))
 
 
-def _named_in(path: Path, content: Mapping[str, Any], lines: dict[Location, int], words: Mapping[str, str]) -> Job:
+def _build_job(path: Path, content: Mapping[str, Any], lines: dict[Location, int], words: Mapping[str, str]) -> Job:
     """One run of a file with the files and values to fill in of its own text, then of its scenario files."""
     base, scenarios = Path(path).resolve().parent, content.get("scenarios")
     files, marks = [*_files(content, base)], placeholders(content, lines, str(path))
@@ -364,10 +364,11 @@ def read_jobs(path: Path) -> list[Job]:
     UsageError : no YAML, or runs that are none.
     """
     data, lines = load_yaml(path, Campaign)
-    return [_named_in(path, content, lines, words) for words, content in campaign_runs(data, lines, str(path))]
+    return [_build_job(path, content, lines, words) for words, content in campaign_runs(data, lines, str(path))]
 
 
-def job_of(path: Path, *, predicts: bool = True) -> Job:
+@reader
+def load_job(path: Path, *, predicts: bool = True) -> Job:
     """The campaign of a file of one run, which need not predict or compare.
 
     ``predicts`` : whether it may, so that no value of the model is left to be filled in
@@ -379,12 +380,12 @@ def job_of(path: Path, *, predicts: bool = True) -> Job:
     """
     job, *more = read_jobs(path)
     refuse(more, "campaign.several", path, count=len(more) + 1)
-    job = job if predicts else job.observing
+    job = job if predicts else job.without_model
     assert job.campaign  # noqa: S101 - read now, for its mistakes
     return job
 
 
-def jobs_of(*paths: Path, compares: bool = True) -> list[Job]:
+def load_jobs(*paths: Path, compares: bool = True) -> list[Job]:
     """The campaigns of files, one for each of their runs.
 
     ``compares``: there must be a scenario and a comparison, without which a collection can only be observed.
@@ -398,7 +399,7 @@ def jobs_of(*paths: Path, compares: bool = True) -> list[Job]:
     UsageError : mistakes, file names that no registry knows, values still to be filled in of a campaign that
         could run, or two campaigns of one name.
     """
-    jobs = [job if compares else job.observing for path in paths for job in read_jobs(path)]
+    jobs = [job if compares else job.without_model for path in paths for job in read_jobs(path)]
     for job in jobs:
         job.check(compares=compares)
     for name, same in grouped(jobs, lambda job: job.outline.name).items():

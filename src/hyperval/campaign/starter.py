@@ -22,7 +22,7 @@ import numpy as np
 import yaml
 
 from hyperval.atmosphere.solar import parse_utc
-from hyperval.campaign.products import centre_of
+from hyperval.campaign.products import cube_centre
 from hyperval.collection import CollectionSection
 from hyperval.config import FILL_IN, Location, parse_yaml, validate
 from hyperval.data import Mask
@@ -95,19 +95,19 @@ class RecordedSpectrum(NamedTuple):
     source: Entry
     record: FieldSpectrum
 
-    def is_again(self, other: RecordedSpectrum) -> bool:
+    def is_copy(self, other: RecordedSpectrum) -> bool:
         """Whether both are one spectrum of one name, to the rounding of a text."""
         same_name = _words(self.name) == _words(other.name) and self.record.values.size == other.record.values.size
         return same_name and np.allclose(self.record.values, other.record.values, rtol=1e-3, atol=1e-3)
 
     @property
-    def flat(self) -> bool:
+    def is_flat(self) -> bool:
         """Whether it is as flat as that of a calibration panel, of hardly any slope or feature."""
         values = self.record.values[in_window(self.record.wavelength_nm)]
         return bool(values.size and np.all(np.isfinite(values)) and np.std(values) < _FLAT * np.mean(values))
 
 
-class _Written(yaml.SafeDumper):  # type: ignore[misc]
+class _CampaignDumper(yaml.SafeDumper):  # type: ignore[misc]
     """What holds nothing but values stands on one line, sentences one a line."""
 
     def ignore_aliases(self, data: Any) -> bool:
@@ -145,7 +145,7 @@ def starter_campaign(sources: StarterSources, folder: Path, name: str) -> tuple[
     InputError : files that are missing or corrupt, regions outside the image.
     """
     draft = Draft(sources, folder, open_raster(sources.cube, header=sources.header, variable=sources.key), name)
-    guesses = draft.complete()
+    guesses = draft.fill()
     return draft.text(), guesses
 
 
@@ -170,7 +170,7 @@ class Draft:
     quantity: str | None = None
     guesses: dict[tuple[str, ...], str] = field(default_factory=dict)
 
-    def complete(self) -> list[str]:
+    def fill(self) -> list[str]:
         """Write all that can be known or guessed; the guesses in words."""
         sources, about = self.sources, self.raster.description
         for option, read, value in (("--time", parse_utc, sources.time_utc), ("--sensor", load_sensor, sources.sensor)):
@@ -178,7 +178,7 @@ class Draft:
                 _ = value and read(value)
         numbered = about.listed() is None
         # Numbers without wavelengths, or of MATLAB, say nothing of what they are.
-        stated = "counts" if numbered or "MATLAB" in about.product else about.quantity or told_quantity(self.raster)
+        stated = "counts" if numbered or "MATLAB" in about.product else about.quantity or guess_quantity(self.raster)
         self.quantity = quantity = sources.quantity or stated
         refuse("class names" in about.entries, "starter.classes", sources.cube)
         refuse(numbered and quantity == "radiance", "starter.no_wavelengths", sources.cube)
@@ -210,12 +210,12 @@ class Draft:
             further = ", ".join(option for name, option in options.items() if not getattr(sources, name))
             self.guess("no image", further=further or "nothing")
         elif numbered or (quantity == "counts" and sources.quantity is None):
-            self._by_objects("no wavelengths" if numbered else "no quantity")
+            self._draft_by_objects("no wavelengths" if numbered else "no quantity")
         elif not (sources.regions or sources.spectra or sources.targets) and self._object_masks()[0][1:]:
-            self._by_objects("no spectra")
+            self._draft_by_objects("no spectra")
         else:
-            self._by_wavelength()
-        self._unused()
+            self._draft_by_wavelength()
+        self._note_unused()
         guesses = [f"{'.'.join(location)}: {because}" for location, because in self.guesses.items()]
         self.content["assumptions"] = [f"guess: {text}" for text in guesses] or ["none beyond what the files state"]
         return guesses
@@ -229,7 +229,7 @@ class Draft:
         about = _templates()["guesses"][name]
         self.guesses[tuple(about["at"].split("."))] = about["because"].format(**words)
 
-    def opened(self, **parts: Any) -> Place:
+    def open_parts(self, **parts: Any) -> Place:
         """The collection as it stands, with only these parts beside its cube."""
         section = validate(CollectionSection, {"cube": self.collection["cube"], **parts}, {}, "draft")
         return open_place(section, lambda name: Path(os.path.normpath(self.folder.resolve() / name)))
@@ -237,7 +237,7 @@ class Draft:
     def text(self) -> str:
         """The campaign file: what was guessed has a comment before it."""
         style: dict[str, Any] = {"sort_keys": False, "allow_unicode": True, "width": 112, "default_flow_style": None}
-        lines = yaml.dump(self.content, Dumper=_Written, **style).splitlines()
+        lines = yaml.dump(self.content, Dumper=_CampaignDumper, **style).splitlines()
         places = parse_yaml("\n".join(lines))[1]
         comments: dict[int, str] = {}
         for key, because in self.guesses.items():
@@ -265,18 +265,18 @@ class Draft:
             collection["cube"]["sort_bands"] = True
             self.guess("sort_bands")
 
-    def _by_wavelength(self) -> None:
+    def _draft_by_wavelength(self) -> None:
         collection, quantity = self.collection, self.quantity
         place = self._place()
         if not any(place.pixels_of(region).any() for region in place.regions):  # of targets alone
             collection["regions"].append(_WHOLE)
             place = self._place()
-        matched = {region: match for region in place.regions if (match := self.matching(region))}
-        flat = [region for region, match in matched.items() if match.flat]
+        matched = {region: match for region in place.regions if (match := self.find_spectrum(region))}
+        flat = [region for region, match in matched.items() if match.is_flat]
         panels = [region for region in place.regions if _PANEL.search(region) or (len(flat) > 1 and region in flat)]
         usable = [panel for panel in panels if panel in matched]
         if quantity == "counts" and len(usable) < 2:
-            self._by_objects("no line")
+            self._draft_by_objects("no line")
             return
         if quantity != "reflectance" and len(usable) > 1:
             entries = [{"region": panel, "spectrum": matched[panel].source} for panel in usable]
@@ -287,7 +287,7 @@ class Draft:
         try:
             model = self._scenario(place, panels, matched)
             self._add_targets(place, model)
-            self._compare(model)
+            self._add_comparisons(model)
             names = ", ".join([*place.regions, *dict.fromkeys(target.material for target in place.targets)])
             refuse(not self.content["comparisons"], "starter.nothing", names=names)
         except UsageError as error:
@@ -306,35 +306,35 @@ class Draft:
         if FILL_IN in str(self.collection["cube"]):
             return
         if self.sources.scale is not None:
-            self.opened()
+            self.open_parts()
             return
         key, header, tried = "reflectance scale factor", self.raster.description.header, dict[float, str]()
         if self.quantity == "reflectance":
             with suppress(HypervalError):
-                self.opened()
+                self.open_parts()
                 return
-            possible = {scale: ratios for scale in _SCALES if (ratios := self._to_spectra(scale)) is not None}
+            possible = {scale: ratios for scale in _SCALES if (ratios := self._ratios_to_spectra(scale)) is not None}
             agreeing = [scale for scale, ratios in possible.items() if ratios and 0.5 <= np.median(ratios) <= 2.0]
             tried = {s: f"{s:g}, the usual one that makes reflectances" for s in [*possible][:1] if s != _THOUSANDS}
             tried = {scale: f"{scale:g}, by which it agrees with the field spectra" for scale in agreeing} or tried
         elif header and "data gain values" not in header.entries and (factor := header.number(key)):
             why = f"1/{factor:g}: the header has a {key!r} although it holds radiance"
             tried = {1.0 / factor: why}
-        self._stated(self.collection["cube"], "scale", {scale: {"why": why} for scale, why in tried.items()})
+        self._state_first(self.collection["cube"], "scale", {scale: {"why": why} for scale, why in tried.items()})
 
-    def _to_spectra(self, scale: float) -> list[float] | None:
+    def _ratios_to_spectra(self, scale: float) -> list[float] | None:
         """How many times the reflectance of its spectrum each region has by a scale; None: no values of an image."""
         cube, ratios = {**self.collection["cube"], "scale": scale}, list[float]()
         try:
-            self.opened(cube=cube)
+            self.open_parts(cube=cube)
         except HypervalError:
             return None
         for entry in self.collection["regions"] if self.sources.regions else ():
             self._coordinates(entry, cube=cube, regions=[entry])
-        place = self.opened(cube=cube, regions=self.collection["regions"])
+        place = self.open_parts(cube=cube, regions=self.collection["regions"])
         good, centre = place.cube.axis.good, place.cube.axis.centre_nm
         for name in place.regions:
-            if (match := self.matching(name)) is not None:
+            if (match := self.find_spectrum(name)) is not None:
                 reflectance = np.interp(centre, match.record.wavelength_nm, match.record.values, np.nan, np.nan)
                 spectra = place.cube.spectra(drawn_pixels(place.region(name), _SOME, np.random.default_rng(0)))
                 ratio = (spectra.sum(axis=0) / (len(spectra) * reflectance))[good & np.isfinite(reflectance)]
@@ -344,20 +344,20 @@ class Draft:
     def _coordinates(self, entry: Entry, **parts: Any) -> None:
         """State those of a file of regions where they are not those of its format."""
         kinds = {kind: {"file": entry["file"], "kind": kind} for kind in ("pixel", "map")}
-        self._stated(entry, "coordinates", kinds, **parts)
+        self._state_first(entry, "coordinates", kinds, **parts)
 
-    def _stated(self, entry: Entry, key: str, values: Mapping[Any, Mapping[str, Any]], **parts: Any) -> None:
+    def _state_first(self, entry: Entry, key: str, values: Mapping[Any, Mapping[str, Any]], **parts: Any) -> None:
         """State the first value of a key with which the collection opens, and its guess; none where it opens so.
 
         A scale that nothing tells is left to be filled in.
         """
         try:
-            self.opened(**parts)
+            self.open_parts(**parts)
         except HypervalError as first:
             for value, words in values.items():
                 entry[key] = value
                 with suppress(HypervalError):
-                    self.opened(**parts)
+                    self.open_parts(**parts)
                     return self.guess(key, **words)
             if key != "scale" or "scale:" not in (first.mend or ""):
                 raise first from None
@@ -376,10 +376,10 @@ class Draft:
                 entry = {"material": "every region", "file": file}
                 settings = parts | {"targets": {"regions": [entry], **truth}}
                 self._coordinates(entry, **settings)
-                names = dict.fromkeys(target.attributes["region"] for target in self.opened(**settings).targets)
+                names = dict.fromkeys(target.attributes["region"] for target in self.open_parts(**settings).targets)
                 listed = {"regions": [{**entry, "material": name, "regions": [escape(name)]} for name in names]}
             parts["targets"] = self.collection["targets"] = listed | truth
-        return self.opened(**parts)
+        return self.open_parts(**parts)
 
     # Spectra ----------------------------------------------------------------------------------------------------------
 
@@ -391,38 +391,38 @@ class Draft:
             # Of a library the header is read beside it.
             for file in sorted({*path.rglob("*")} - {*path.rglob("*.hdr")}) if path.is_dir() else [path]:
                 with suppress(*([] if file == path else [HypervalError])):  # of a folder files of spectra count alone
-                    out += [one for one in _records(file, self.reference(file)) if not any(map(one.is_again, out))]
+                    out += [one for one in _read_spectra(file, self.reference(file)) if not any(map(one.is_copy, out))]
         return out
 
     @cached_property
-    def kinds(self) -> list[list[RecordedSpectrum]]:
+    def averages(self) -> list[list[RecordedSpectrum]]:
         """The spectra, of replicates the mean: of names that differ in their last number alone; by name of folder.
 
         >>> of = lambda name, level: FieldSpectrum(name, np.array([500.0, 600.0]), np.array([1.0, 2.0]) * level)
         >>> draft = Draft(StarterSources(Path()), Path(), None, "")
         >>> files = {"turf/s1": 0.2, "turf/s2": 0.21, "lot/s1": 0.3, "lot/s2": 0.31, "DryClay1": 0.1, "DryClay2": 0.1}
         >>> draft.spectra = [RecordedSpectrum(Path(f).name, {"file": f}, of(f, level)) for f, level in files.items()]
-        >>> [draft.matching(name).source["replicates"] for name in ("turf", "dry")]
+        >>> [draft.find_spectrum(name).source["replicates"] for name in ("turf", "dry")]
         [{'files': ['turf/s1', 'turf/s2']}, {'files': ['DryClay1', 'DryClay2']}]
         """
         numbered = grouped(self.spectra, lambda one: re.sub(r"[0-9]+(?=[^0-9]*$)", "#", _parted(one.name)))
         folders = grouped(self.spectra, lambda one: Path(one.source["file"]).parent.name)
-        return [[one for n, members in each.items() for one in _replicates(n, members)] for each in (numbered, folders)]
+        return [[one for n, members in each.items() for one in _averaged(n, members)] for each in (numbered, folders)]
 
-    def matching(self, name: str) -> RecordedSpectrum | None:
+    def find_spectrum(self, name: str) -> RecordedSpectrum | None:
         """The spectrum of the same name, else the only one with all its words, else the only one whose words it has.
 
         Replicates are one where no single spectrum fits; what an instrument shows of its own white reference, or in
         the dark, is none of the scene, unless the scene has such a panel.
         """
         words, is_reference = _words(name), _REFERENCE.search(name)
-        tests, both = (frozenset.__eq__, frozenset.__ge__, frozenset.__le__), (self.spectra, self.kinds[0])
+        tests, both = (frozenset.__eq__, frozenset.__ge__, frozenset.__le__), (self.spectra, self.averages[0])
         pools = [[s for s in p if _words(s.name) and (is_reference or not _REFERENCE.search(s.name))] for p in both]
         fits = ([s for s in pool if test(_words(s.name), words)] for test, pool in product(tests, pools))
-        in_folder = [s for s in self.kinds[1] if _words(s.name) == words]
+        in_folder = [s for s in self.averages[1] if _words(s.name) == words]
         return next((matches[0] for matches in (*fits, in_folder) if len(matches) == 1), None)
 
-    def _unused(self) -> None:
+    def _note_unused(self) -> None:
         """Say which options and files of spectra stand nowhere in the campaign, and which replicates are averaged."""
         text, sources = str(self.content), self.sources
         if FILL_IN in str(cube := self.collection["cube"]):
@@ -432,7 +432,7 @@ class Draft:
         unread = [k for k, key in keys.items() if getattr(sources, k) is not None and f"'{key}'" not in text]
         if options := [f"--{name.removesuffix('_utc').replace('_', '-')}" for name in unread]:
             self.guess("unread", names=", ".join(options), quantity=self.quantity)
-        if means := {of: s.name for s in chain(*self.kinds) if "replicates" in (of := str(s.source)) and of in text}:
+        if means := {of: s.name for s in chain(*self.averages) if "replicates" in (of := str(s.source)) and of in text}:
             self.guess("replicates", names=", ".join(means.values()))
         files = [] if "by_number" in cube else [spectrum.source["file"] for spectrum in self.spectra]
         idle = dict.fromkeys(file for file in files or map(str, self.sources.spectra) if repr(file) not in text)
@@ -474,7 +474,7 @@ class Draft:
         state, self.collection["calibration"] = {**template["atmosphere"]}, template["calibration"]
         for name in ("atmosphere", "state", "calibration"):
             self.guess(name)
-        if (centre := centre_of(place)) is not None:
+        if (centre := cube_centre(place)) is not None:
             state["latitude_deg"], state["longitude_deg"] = (round(degrees, 4) for degrees in centre)
         stated = {"sensor_altitude_km": sources.altitude_km, "time_utc": sources.time_utc}
         if not sources.time_utc:
@@ -502,7 +502,7 @@ class Draft:
     def _add_targets(self, place: Place, scenario: Entry) -> None:
         """Detection in the image, and the targets of the model."""
         materials = list(dict.fromkeys(target.material for target in place.targets))
-        spectra = {m: match for m in materials if (match := self.matching(m))}
+        spectra = {m: match for m in materials if (match := self.find_spectrum(m))}
         if not spectra and len(materials) == len(self.spectra) == 1:
             spectra = {materials[0]: self.spectra[0]}
             self.guess("only one", spectrum=self.spectra[0].name, material=materials[0])
@@ -512,7 +512,7 @@ class Draft:
             self.guess("no detection")
             return
         members = {material: [t for t in place.targets if t.material == material] for material in spectra}
-        sizes = {material: _by_size(same) for material, same in members.items()}
+        sizes = {material: _group_by_side(same) for material, same in members.items()}
         looked_for = [{"name": m, "material": m, "spectrum": match.source} for m, match in spectra.items()]
         group = "{target} {side_m} m" if all(sizes.values()) else "{material}"
         self.content["detection"] = {"group": group, "detectors": ["cem"], "targets": looked_for}
@@ -527,7 +527,7 @@ class Draft:
             entries.append({**target, "host": _host(place, same, classes), **fills})
         self.guess("targets")
 
-    def _compare(self, scenario: Entry) -> None:
+    def _add_comparisons(self, scenario: Entry) -> None:
         """Add a scenario, how well its field spectra are known, and the usual comparisons of what both sides have."""
         scene, lit, targets = scenario["scene"], "atmosphere" in scenario, scenario["scene"].get("targets", [])
         classes, panels, sought = (
@@ -551,7 +551,7 @@ class Draft:
 
     # Counts, or an image without wavelengths: a map of objects, and what they stand before ----------------------------
 
-    def _by_objects(self, why_by_number: str) -> None:
+    def _draft_by_objects(self, why_by_number: str) -> None:
         collection = self.collection
         collection["cube"]["by_number"] = True
         collection.pop("targets", None)
@@ -568,7 +568,7 @@ class Draft:
         marked |= {f"scored object {i}": mask for i, mask in enumerate(scored, 1)}
         rows = [f"{name},{line},{sample}\n" for name, mask in marked.items() for line, sample in np.argwhere(mask)]
         write_text(self.folder / "objects.csv", "region,line,sample\n" + "".join(rows))
-        spectra = self.opened().cube.spectra(target_pixels)
+        spectra = self.open_parts().cube.spectra(target_pixels)
         mean = "\n".join(map(repr, np.nan_to_num(spectra.mean(axis=0)).tolist()))
         write_text(self.folder / "target.txt", f"# mean of the known objects, one row a band\n{mean}\n")
         template, pixels = _templates()["objects"], int(np.sum(target_pixels))
@@ -581,7 +581,7 @@ class Draft:
         model = {"schema": 1, "name": self.name, "scene": scene, "processing": template["processing"]}
         self.guess("objects", why=why, scored=len(scored), pixels=pixels)
         self.guess("objects filled")
-        self._compare(model)
+        self._add_comparisons(model)
 
     def _object_masks(self) -> tuple[list[Mask], str, Mask]:
         """The objects of the map, the largest first, words on them, and pixels of other materials.
@@ -619,7 +619,7 @@ def _words(name: str) -> frozenset[str]:
     return frozenset(re.findall(r"[a-z]+|[0-9]+", _parted(name)))
 
 
-def _records(path: Path, reference: str) -> list[RecordedSpectrum]:
+def _read_spectra(path: Path, reference: str) -> list[RecordedSpectrum]:
     for unit in _UNITS:
         with suppress(UsageError, InputError):
             records = read_records(path, reflectance_unit=unit)
@@ -632,7 +632,7 @@ def _records(path: Path, reference: str) -> list[RecordedSpectrum]:
     raise refusal("starter.unit", path)
 
 
-def _replicates(name: str, members: Sequence[RecordedSpectrum]) -> Sequence[RecordedSpectrum]:
+def _averaged(name: str, members: Sequence[RecordedSpectrum]) -> Sequence[RecordedSpectrum]:
     """The mean of spectra under one name, where they are as bright to a third; else the spectra as they are.
 
     Spectra of other keys, such as records of a file, or in another unit are no replicates.
@@ -641,8 +641,9 @@ def _replicates(name: str, members: Sequence[RecordedSpectrum]) -> Sequence[Reco
     >>> sources = {"file": "1.csv"}, {"file": "2.csv"}, {"file": "all.csv", "record": "lawn3"}
     >>> each = [RecordedSpectrum(f"lawn{i}", {**source, "reflectance_unit": "percent"}, one)
     ...         for i, source in enumerate(sources, 1)]
-    >>> [spectrum.source for spectrum in _replicates("lawn#", each[:2])], len(_replicates("lawn#", each))
-    ([{'replicates': {'files': ['1.csv', '2.csv'], 'reflectance_unit': 'percent'}}], 3)
+    >>> (mean,), unlike = _averaged("lawn#", each[:2]), _averaged("lawn#", each)
+    >>> mean.source, len(unlike)
+    ({'replicates': {'files': ['1.csv', '2.csv'], 'reflectance_unit': 'percent'}}, 3)
     """
     source, nm = members[0].source, members[0].record.wavelength_nm
     values = [np.interp(nm, one.record.wavelength_nm, one.record.values) for one in members]
@@ -657,7 +658,7 @@ def _replicates(name: str, members: Sequence[RecordedSpectrum]) -> Sequence[Reco
     return [RecordedSpectrum(name, {"replicates": files | records | unit}, replace(members[0].record, values=mean))]
 
 
-def _by_size(members: Sequence[TargetObject]) -> dict[str, list[TargetObject]]:
+def _group_by_side(members: Sequence[TargetObject]) -> dict[str, list[TargetObject]]:
     """Squares of known sizes by their side, greatest first; empty where they are all alike, not known, or many."""
     largest_first = sorted(members, key=lambda target: -target.side_m)
     each = grouped(largest_first, lambda target: target.attributes.get("side_m", ""))
@@ -689,7 +690,7 @@ def _fill(place: Place, members: Sequence[TargetObject]) -> Entry:
     return {"geometry": {**shape, "n": max(1, min(400, round(pixels)))}}
 
 
-def told_quantity(raster: Raster) -> str | None:
+def guess_quantity(raster: Raster) -> str | None:
     """Whether an image holds radiance or reflectance, by words of its header, else by its name; None: nothing says."""
     entries = raster.description.entries
     texts = (text for key, text in entries.items() if re.search(r"unit|plot titles|description|level", key))

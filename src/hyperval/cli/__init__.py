@@ -5,6 +5,6 @@ Results go to files, data to standard output, messages to standard error.  Exit 
 was checked, 130 interrupted, 143 terminated.
 """
 
-from hyperval.cli.main import app, keep_caches, main, note, run
+from hyperval.cli.main import app, keep_caches, main, print_note, run
 
-__all__ = ["app", "keep_caches", "main", "note", "run"]
+__all__ = ["app", "keep_caches", "main", "print_note", "run"]

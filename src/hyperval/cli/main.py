@@ -74,30 +74,30 @@ def options(
         hyperval.datasets.set_data_dir(data_dir)
 
 
-def finished(code: int, output: Path | None) -> int:
+def report_results(code: int, output: Path | None) -> int:
     """Say where the results are, if there are any, and their warnings, each with its run; pass on the exit code."""
     if output is not None:
-        note(f"results in {output}")
+        print_note(f"results in {output}")
         for folder in (output, *sorted(output.glob("*/"))):
             record = hyperval.run.provenance_of(folder)
             name = record.get("configuration", {}).get("campaign", {}).get("name", folder.name)
             for line in record.get("warnings", ()):
-                note(f"{name}: {line}")
+                print_note(f"{name}: {line}")
     return code
 
 
-def say_verdicts(output: Path) -> None:
+def print_verdicts(output: Path) -> None:
     """A line for each campaign of a finished run, then its reasons, then how many criteria were met."""
     rows = list(hyperval.run.read_rows(output, every=False)) if hyperval.run.is_run(output) else []
     for name, some in hyperval.results.grouped(rows, lambda row: row.campaign).items():
         if any(row.outcome is not hyperval.results.Outcome.SKIPPED for row in some):  # else the reason, below, says all
-            note(f"{name}: {hyperval.report.first_screen(some).words}")
-    say_reasons(rows)
+            print_note(f"{name}: {hyperval.report.first_screen(some).words}")
+    print_reasons(rows)
     if rows:
-        note(hyperval.report.last_line(rows))
+        print_note(hyperval.report.last_line(rows))
 
 
-def say_reasons(rows: Sequence[hyperval.results.Result]) -> None:
+def print_reasons(rows: Sequence[hyperval.results.Result]) -> None:
     """A line for each reason of an error, under --quiet too, or of what was skipped."""
     outcomes = hyperval.results.Outcome
     for outcome in (outcomes.ERROR, outcomes.SKIPPED):
@@ -107,10 +107,10 @@ def say_reasons(rows: Sequence[hyperval.results.Result]) -> None:
             more = len({row.reason for row in similar}) - 1
             names = ", ".join(dict.fromkeys(row.campaign for row in similar))
             line = f"{names}: {outcome}: {similar[0].reason}" + (f" (and {more} more like it)" if more else "")
-            print(line, file=sys.stderr) if outcome is outcomes.ERROR else note(line)
+            print(line, file=sys.stderr) if outcome is outcomes.ERROR else print_note(line)
 
 
-def note(text: str) -> None:
+def print_note(text: str) -> None:
     """A message that --quiet leaves out."""
     if not settings.quiet:
         print(text, file=sys.stderr)
@@ -162,11 +162,11 @@ def check(
     compared = [row for run in runs if run.before for row in run.rows if everything or row.reason]
     print_table(header, list(map(_cells, compared)))
     for run in runs:
-        _tell(run, folder)
+        _print_summary(run, folder)
     for reason, skipped in hyperval.results.grouped(runs, lambda run: run.skipped).items():
         if reason is not None:
-            note(f"{', '.join(run.owner for run in skipped)}: skipped: {reason}")
-    return finished(baseline.rows_of(runs).exit_code(), output)
+            print_note(f"{', '.join(run.owner for run in skipped)}: skipped: {reason}")
+    return report_results(baseline.joined_rows(runs).exit_code(), output)
 
 
 def _cells(row: hyperval.results.Result) -> tuple[str, ...]:
@@ -176,22 +176,22 @@ def _cells(row: hyperval.results.Result) -> tuple[str, ...]:
     return (row.campaign, row.key, *("-" if "nan" in text else text for text in numbers), outcome)
 
 
-def _tell(run: baseline.RunNumbers, baselines: Path) -> None:
+def _print_summary(run: baseline.RunNumbers, baselines: Path) -> None:
     """A line of summary; with the reason where nothing was compared."""
     wrong = [row for row in run.rows if row.outcome is hyperval.results.Outcome.DISAGREES]
     if run.before is None:
         for row in wrong:
             print(f"{row.campaign}: {row.reason}", file=sys.stderr)
     elif not wrong:
-        note(f"{run.owner}: {len(run.rows)} numbers as accepted")
+        print_note(f"{run.owner}: {len(run.rows)} numbers as accepted")
     else:
         before = run.before.versions
         changed = [f"{k} {before[k]} is now {v}" for k, v in run.versions.items() if k in before and before[k] != v]
         causes = "the code or the sensor file" if run.kind == "sensor" else "the code, the campaign's files or its data"
         unchanged = f"{causes}: the versions of all packages are as accepted"
-        note(f"{run.owner}: {len(wrong)} of {len(run.rows)} numbers are not as accepted")
-        note(f"  likely cause: {'; '.join(changed) or unchanged}")
-        note(f"  if the change is meant: {run.acceptance(baselines)}")
+        print_note(f"{run.owner}: {len(wrong)} of {len(run.rows)} numbers are not as accepted")
+        print_note(f"  likely cause: {'; '.join(changed) or unchanged}")
+        print_note(f"  if the change is meant: {run.accept_command(baselines)}")
 
 
 baseline_app = typer.Typer(help="Accepted numbers of campaigns and sensors.", no_args_is_help=True)
@@ -215,17 +215,17 @@ def baseline_accept(
     folder = baselines or baseline.DEFAULT_FOLDER
     runs = baseline.accept(campaigns or [], sensors or [], reason=reason, baselines=folder, source=source)
     header = ("where", "metric", "accepted before", "accepted now")
-    print_table(header, [(r.owner, key, _in_words(old), _in_words(new)) for r in runs for key, old, new in r.changes])
+    print_table(header, [(r.owner, key, _describe(old), _describe(new)) for r in runs for key, old, new in r.changes])
     for run in runs:
         done = f"written to {run.path(folder)}" if run.changes else "nothing changed"
-        note(f"{run.owner}: {done if run.skipped is None else f'skipped: {run.skipped}'}")
+        print_note(f"{run.owner}: {done if run.skipped is None else f'skipped: {run.skipped}'}")
     if written := [run.owner for run in runs if run.changes]:
-        note('add to the changelog, under "Science changes", with what moved in place of the dots:')
-        note(f"| {baseline.today()} | {' '.join(reason.split())} | ... | {', '.join(written)} |")
+        print_note('add to the changelog, under "Science changes", with what moved in place of the dots:')
+        print_note(f"| {baseline.today()} | {' '.join(reason.split())} | ... | {', '.join(written)} |")
     return 0 if any(run.after for run in runs) else 5
 
 
-def _in_words(item: object) -> str:
+def _describe(item: object) -> str:
     if not isinstance(item, baseline.Accepted):
         return "-"
     value = "no value" if item.accepted is None else f"{item.accepted:.6g}"
@@ -259,8 +259,8 @@ def data_fetch(names: Annotated[list[str], Argument(help="Names of data sets.")]
     """Bring data sets into the user's cache; every file is checked against its digest."""
     for entry in [hyperval.datasets.dataset(name) for name in names]:
         new, cache = hyperval.datasets.fetch(entry.name), hyperval.datasets.cache_dir()
-        note(f"{entry.name}: {len(new)} files fetched into {cache}" if new else f"{entry.name}: complete")
-        note(f"  licence {entry.licence}; please cite: {entry.citation}")
+        print_note(f"{entry.name}: {len(new)} files fetched into {cache}" if new else f"{entry.name}: complete")
+        print_note(f"  licence {entry.licence}; please cite: {entry.citation}")
     return 0
 
 
@@ -271,7 +271,7 @@ def data_verify(
     """Compare the files at hand with their digests; exit code 3 when one is missing or differs."""
     for name in names or []:
         if not hyperval.datasets.dataset(name).public:
-            note(f"{name}: not public, so no checksums are registered")
+            print_note(f"{name}: not public, so no checksums are registered")
     every = names or hyperval.datasets.registry()
     checks = [(name, path, state) for name in every for path, state in hyperval.datasets.verify(name).items()]
     print_table(("set", "file", "state"), checks)
@@ -285,8 +285,8 @@ def compare(
     output: Output,
 ) -> int:
     """Set two runs side by side: verdicts that changed, what moved, both runs' curves and pictures."""
-    note(hyperval.report.compare_runs(one, other, output))
-    return finished(0, output)
+    print_note(hyperval.report.compare_runs(one, other, output))
+    return report_results(0, output)
 
 
 @command("drift day-1 day-2 day-3 --metric bias_ratio --within -0.01 0.01")
@@ -312,7 +312,7 @@ def drift(
     interval = f"95 % interval {trend.lower:+.3g} to {trend.upper:+.3g} ({len(days)} days)"
     outcome = within and hyperval.compare.against_range(trend.lower, trend.upper, *within)
     judged = f": {outcome} with {within[0]:g} to {within[1]:g}" if within else ""
-    note(f"{metric} changes by {trend.value:+.3g} in a year, {interval}{judged}")
+    print_note(f"{metric} changes by {trend.value:+.3g} in a year, {interval}{judged}")
     return {None: 0, "agrees": 0, "disagrees": 1}.get(outcome, 5)
 
 
@@ -326,7 +326,7 @@ def figures(
     ] = "house",
 ) -> int:
     """Draw the figures of a finished run for print, from its folder."""
-    return finished(hyperval.report.figures_to_folder(folder, output, kind, style == "journal"), output)
+    return report_results(hyperval.report.figures_to_folder(folder, output, kind, style == "journal"), output)
 
 
 @command("metrics", "metrics bias_ratio")
@@ -384,16 +384,16 @@ def init(
     text, guesses = campaign.starter_campaign(sources, path.parent, title)
     hyperval.config.write_draft(path, "campaign", text)
     for guess in guesses:
-        note(f"guess: {guess}")
+        print_note(f"guess: {guess}")
     data, lines = hyperval.config.parse_yaml(text)
     asked = hyperval.config.placeholders(data, lines, str(path))
     for one in asked:
-        note(f"to fill in: {one.key}: {one.what}")
+        print_note(f"to fill in: {one.key}: {one.what}")
     drafted = ("validate", "--dry-run", path) if asked or "comparisons" in data else ("observe", path, "-o", "seen")
     is_draft = bool(asked) and "scenarios" not in data
     proposal = "hyperval init again, with these options, into another folder" if is_draft else as_typed(*drafted)
     count = f"{len(asked)} value{'s' if len(asked) > 1 else ''} to fill in, then"
-    note(f"{path}: {count if asked else 'now'}: {proposal}")
+    print_note(f"{path}: {count if asked else 'now'}: {proposal}")
     return 0
 
 
@@ -408,7 +408,7 @@ def schema(
         print(text, end="")
     else:
         hyperval.storage.write_text(output, text)
-        note(f"{output}: the first line '# yaml-language-server: $schema={output}' of a file names it")
+        print_note(f"{output}: the first line '# yaml-language-server: $schema={output}' of a file names it")
     return 0
 
 
@@ -419,7 +419,7 @@ def study(
     scheduler: Scheduler = None,
 ) -> int:
     """Evaluate a trade study; an interrupted run goes on where it stopped."""
-    return finished(hyperval.study.study_to_folder(study_file, output, scheduler=scheduler), output)
+    return report_results(hyperval.study.study_to_folder(study_file, output, scheduler=scheduler), output)
 
 
 @command("benchmark campaigns/*/campaign.yaml -o ranks", "benchmark campaign.yaml --scores net=net.npy -o ranks")
@@ -438,8 +438,8 @@ def benchmark(
     refuse(wrong := [one for one in scores or () if not all(one.partition("="))], "scores.form", value=wrong)
     maps, files = dict(one.split("=", 1) for one in scores or ()), extend or []
     code = scoreboard.benchmark(campaigns, output, extensions=files, scores=maps, seed=seed, scheduler=scheduler)
-    say_reasons(list(hyperval.run.read_rows(output)))
-    return finished(code, output)
+    print_reasons(list(hyperval.run.read_rows(output)))
+    return report_results(code, output)
 
 
 @command("power campaign.yaml -o detected")
@@ -457,13 +457,13 @@ def power(
     print_table(("injected error", *(table.campaign for table in done)), rows)
     for item in tables:
         if item.skipped:
-            note(f"{item.campaign}: skipped: {item.skipped}")
+            print_note(f"{item.campaign}: skipped: {item.skipped}")
         elif item.table is not None:
-            note(f"{item.campaign}: {item.table.sentence}")
+            print_note(f"{item.campaign}: {item.table.sentence}")
         for change in item.changes:
-            note(f"{item.campaign}: {change}")
+            print_note(f"{item.campaign}: {change}")
     has_changed = not accept and any(item.changes for item in tables)
-    return finished(int(has_changed) if done else 5, output)
+    return report_results(int(has_changed) if done else 5, output)
 
 
 @command("predict yellow-planks-asphalt -o out", "predict scenario.yaml -o out")
@@ -471,7 +471,7 @@ def predict(
     scenario: Annotated[str, Argument(help="A scenario file, or the name of a built-in scenario.")], output: Output
 ) -> int:
     """Run the forward model alone."""
-    return finished(campaign.predict_to_folder(scenario, output), output)
+    return report_results(campaign.predict_to_folder(scenario, output), output)
 
 
 @command("observe campaign.yaml -o out --write-reflectance envi")
@@ -484,7 +484,7 @@ def observe(
     ] = None,
 ) -> int:
     """Run the empirical pipeline alone: what the collected imagery says."""
-    return finished(campaign.observe(file, output, write_reflectance=write_reflectance), output)
+    return report_results(campaign.observe(file, output, write_reflectance=write_reflectance), output)
 
 
 @command("validate --dry-run campaign.yaml", "validate campaign.yaml -o results")
@@ -507,23 +507,23 @@ def validate(
         header = ("campaign", "kind", "state", "what", "detail")
         print_table(header, [(i.campaign, i.kind, i.state, i.what, i.detail) for i in campaign.overview(items)])
         for line in campaign.summary(items):
-            note(line)
+            print_note(line)
         if any(i.state == campaign.WRONG for i in items):
             return UsageError.exit_code
-        return InputError.exit_code if any(i.lacking for i in items) else 0
+        return InputError.exit_code if any(i.is_blocking for i in items) else 0
     output = needed(output, "validate.output")
-    code = campaign.validate(campaigns, output, scheduler=scheduler, strict=strict, again=again, tell=note)
+    code = campaign.validate(campaigns, output, scheduler=scheduler, strict=strict, again=again, tell=print_note)
     if junit is not None:
         hyperval.storage.write_text(junit, (output / hyperval.run.JUNIT).read_text("utf-8"))
-    finished(code, output)
-    say_verdicts(output)
+    report_results(code, output)
+    print_verdicts(output)
     return code
 
 
 @command("simulate scene.yaml -o collection")
 def simulate(scene: Annotated[Path, Argument(help="A scene file.")], output: Output) -> int:
     """Write a simulated collection with its truth."""
-    return finished(hyperval.simulate.simulate_to_folder(scene, output), output)
+    return report_results(hyperval.simulate.simulate_to_folder(scene, output), output)
 
 
 sensor_app = typer.Typer(help="Sensors: those of the package, and new ones.", no_args_is_help=True)
@@ -565,10 +565,10 @@ def sensor_check(
         for r in decided
     ]
     print_table(("outcome", "part", "subject", "check", "value", "limit", "remark"), rows)
-    failed = sum(map(hyperval.report.gate_fails, decided))
-    note(f"{check.sensor.name}: {len(decided) - failed} of {len(decided)} checks passed" if failed
+    failed = sum(map(hyperval.report.is_failed_gate, decided))
+    print_note(f"{check.sensor.name}: {len(decided) - failed} of {len(decided)} checks passed" if failed
          else f"{check.sensor.name}: accepted, {len(decided)} checks")  # fmt: skip
-    return finished(check.table.exit_code(), output)
+    return report_results(check.table.exit_code(), output)
 
 
 @command("sensor new mine --arms VNIR,SWIR", group=sensor_app, name="new")
@@ -582,7 +582,7 @@ def sensor_new(
     then = as_typed("sensor", "check", path, "-o", f"{name}-check")
     text = hyperval.sensor.new_sensor_file(name, [arm.strip() for arm in arms.split(",")], then)
     hyperval.config.write_draft(path, "sensor", text)
-    note(f"{path}: replace every FILL_IN, then: {then}")
+    print_note(f"{path}: replace every FILL_IN, then: {then}")
     return 0
 
 
@@ -619,7 +619,7 @@ def serve(
     try:
         import uvicorn
 
-        from hyperval.web import LOOPBACK, MEGABYTE, ServerSettings, connections_of, make_app
+        from hyperval.web import LOOPBACK, MEGABYTE, ServerSettings, connection_class, make_app
     except ModuleNotFoundError as error:
         raise UsageError(f"the web application needs {error.name}", mend="pip install 'hyperval[web]'") from error
     refuse(wrong := [str(p) for p in (campaigns, data) if p and not p.is_dir()], "serve.folder", ", ".join(wrong))
@@ -633,11 +633,11 @@ def serve(
         quick_workers=workers, long_workers=long_workers, kept_bytes=kept_mb * MEGABYTE, kept_days=kept_days,
     ))  # fmt: skip
     for words in application.state.runs.notices:
-        note(words)
-    note(f"hyperval serves at http://{host}:{port} (runs in {place}); Ctrl+C stops it")
+        print_note(words)
+    print_note(f"hyperval serves at http://{host}:{port} (runs in {place}); Ctrl+C stops it")
     config = uvicorn.Config(
         application, log_level="warning", access_log=False, server_header=False, proxy_headers=False,
-        timeout_keep_alive=30, ws="none", http=connections_of(connections), backlog=64,
+        timeout_keep_alive=30, ws="none", http=connection_class(connections), backlog=64,
     )  # fmt: skip
     with suppress(KeyboardInterrupt):
         uvicorn.Server(config).run([listening])
@@ -681,7 +681,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except TyperException as error:
         return _usage(error)
     except Exception as error:
-        return _stopped(error)
+        return _describe_interrupt(error)
     return _error(_SIGNALS[code], code) if code in _SIGNALS else code
 
 
@@ -698,7 +698,7 @@ def _usage(error: TyperException) -> int:
     return _error(f"{text}\n  to fix it: see {command} --help", 2)
 
 
-def _stopped(error: Exception) -> int:
+def _describe_interrupt(error: Exception) -> int:
     what, code = words_and_code(error)
     if settings.debug:
         traceback.print_exc()

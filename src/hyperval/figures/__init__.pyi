@@ -10,7 +10,7 @@ from .catalogue import (
     spectra_figure,
 )
 from .pictures import draw_pictures
-from .print import canvas_of, drawings_of, house_style
+from .print import draw_views, drawings_of, house_style
 from .rows import campaigns_figure, criteria_figure, outcome_words
 from .spec import (
     Axis,
@@ -20,12 +20,12 @@ from .spec import (
     Mark,
     Panels,
     Part,
-    statement,
+    figure_json,
 )
 
 __all__ = [
     "MOST_SUBJECTS", "Axis", "ColourScale", "Drawing", "Figure", "Mark", "Panels", "Part", "campaigns_figure",
-    "canvas_of", "criteria_figure", "densities_figure", "draw_pictures", "drawings_of", "exceedance_figure",
-    "first_figures", "further_figures", "house_style", "many_objects_figure", "outcome_words", "spectra_figure",
-    "statement",
+    "criteria_figure", "densities_figure", "draw_pictures", "draw_views", "drawings_of", "exceedance_figure",
+    "figure_json", "first_figures", "further_figures", "house_style", "many_objects_figure", "outcome_words",
+    "spectra_figure",
 ]  # fmt: skip

@@ -25,15 +25,15 @@ from hyperval.figures.spec import (
     Panels,
     Part,
     Rules,
-    a_view_each,
-    captioned,
-    columns_of,
-    left_out,
+    compose,
+    figure_of_views,
     measured_mark,
-    of_rows,
+    omissions,
     predicted_mark,
     robust_limits,
-    single,
+    row_figure,
+    single_panel,
+    to_columns,
 )
 from hyperval.metrics import product_words
 from hyperval.model import Z95, clopper_pearson, detection_at, difference_ratio
@@ -53,32 +53,32 @@ _MOST_ROWS = 40
 _MOST_SOURCES = 7
 
 
-def both_of(sides: Sides, product: str) -> list[Mapping[Any, Any]]:
-    """A product of both sides, empty where a side is absent."""
+def side_products(sides: Sides, product: str) -> list[Mapping[Any, Any]]:
+    """A product of each side, empty where the side is absent."""
     return [{} if side is None else getattr(side, product) for side in sides]
 
 
-def both_first(predicted: Mapping[Any, Any], measured: Mapping[Any, Any]) -> list[Any]:
+def shared_first(predicted: Mapping[Any, Any], measured: Mapping[Any, Any]) -> list[Any]:
     """Keys of either side: those of both sides before those of one."""
     return list(dict.fromkeys([*(key for key in predicted if key in measured), *predicted, *measured]))
 
 
-def drawn_of(sides: Sides, product: str) -> tuple[list[Mapping[Any, Any]], list[Any], bool]:
-    """A product of both sides, the keys that are drawn, and whether both sides hold these.
+def drawn_products(sides: Sides, product: str) -> tuple[list[Mapping[Any, Any]], list[Any], bool]:
+    """A product of each side, the keys to draw, and whether both sides hold these.
 
     Where anything can be compared, what only one side holds is left to products.nc.
     """
-    both = both_of(sides, product)
+    both = side_products(sides, product)
     pairs = [key for key in both[0] if key in both[1]]
-    return both, pairs or both_first(*both), bool(pairs)
+    return both, pairs or shared_first(*both), bool(pairs)
 
 
-def in_windows(axis: SpectralAxis) -> Mask:
+def window_bands(axis: SpectralAxis) -> Mask:
     """Bands that are summarised: the good ones in the windows of the atmosphere; all, where none is.
 
     Examples
     --------
-    >>> in_windows(SpectralAxis([500.0, 600.0, 940.0], 10.0, np.array([True, False, True])))
+    >>> window_bands(SpectralAxis([500.0, 600.0, 940.0], 10.0, np.array([True, False, True])))
     array([ True, False, False])
     """
     keep = axis.clear
@@ -86,11 +86,11 @@ def in_windows(axis: SpectralAxis) -> Mask:
 
 
 def count_text(n: int) -> str:
-    """A whole number with its thousands apart."""
+    """A whole number with its thousands separated."""
     return f"{n:,}".replace(",", "\u202f")
 
 
-def a_row_each(
+def dot_rows(
     kind: str, keys: Sequence[Any], both: Sequence[Mapping[Any, Entry]], x: Axis, *, under: Sequence[Mark] = (),
     **values: Any,
 ) -> Figure | None:  # fmt: skip
@@ -103,20 +103,20 @@ def a_row_each(
     for side, (make, marker, shift) in zip(both, styles, strict=True):
         entries = [(i, side[key]) for i, key in enumerate(shown) if key in side]
         if entries:
-            columns = columns_of([(i + shift, *entry[:3]) for i, entry in entries], ("y", "x", "low", "high"))
+            columns = to_columns([(i + shift, *entry[:3]) for i, entry in entries], ("y", "x", "low", "high"))
             words = tuple(f"{names[i]}: {entry[3]}" for i, entry in entries)
             marks.append(make("dots", columns, marker=marker, words=words, along="x"))
-    return of_rows(kind, x, Axis.named(names), marks, more=left_out(len(shown), len(keys)), **values)
+    return row_figure(kind, x, Axis.named(names), marks, more=omissions(len(shown), len(keys)), **values)
 
 
-def wavelengths(axis: SpectralAxis) -> Axis:
+def wavelength_axis(axis: SpectralAxis) -> Axis:
     """The axis of a figure over bands, which may go by their number; of a single band with room beside it."""
     w = axis.centre_nm
     ends = float(w[0]), float(max(w[-1], w[0] + 1.0))
     return Axis("number of the band" if axis.numbered else WAVELENGTH, ends=ends)
 
 
-def look_of(sides: Iterable[Products | None], product: str) -> tuple[str, str, bool]:
+def spectra_labels(sides: Iterable[Products | None], product: str) -> tuple[str, str, bool]:
     """Axis and title of the spectra of a product, and whether their difference is a ratio; counts are named so."""
     counted = any(side and side.provenance.get("quantity") == "counts" for side in sides)
     return ("counts", "Counts", False) if counted else SPECTRA[product]
@@ -133,7 +133,7 @@ def spectra_figure(
     rows : subjects about which more is amiss in these come first
     names : what the two sides are, where they are no prediction and collection
     """
-    both, drawn, paired = drawn_of(sides, product)
+    both, drawn, paired = drawn_products(sides, product)
     if not drawn or (not paired and None not in sides):
         return None  # a comparison that has none of this product
     ranks = [(WORST_FIRST.index(row.outcome), row.subject) for row in rows if row.planned and row.product == product]
@@ -144,18 +144,18 @@ def spectra_figure(
     aligned = [each if side and side.axis.matches(axis) else {} for side, each in zip(sides, both, strict=True)]
     pairs = [(aligned[0][s].mean, aligned[1][s].mean) for s in shown if all(s in each for each in aligned)]
     identical = bool(pairs) and all(np.array_equal(p, m, equal_nan=True) for p, m in pairs)
-    about = look_of(sides, product)
-    views = tuple(_view(axis, s, [each.get(s) for each in aligned], about, not identical, names) for s in shown)
+    about = spectra_labels(sides, product)
+    views = tuple(_spectra_view(axis, s, [each.get(s) for each in aligned], about, not identical, names) for s in shown)
     title = f"{about[1]}: {_present(both, names)}" + ", which are identical" * identical
-    return Figure(product, product, title + left_out(len(shown), len({*both[0], *both[1]})), views, together="offered")
+    return Figure(product, product, title + omissions(len(shown), len({*both[0], *both[1]})), views, together="offered")
 
 
-def _view(
+def _spectra_view(
     axis: SpectralAxis, subject: str, both: Sequence[SpectralEstimate | None], about: tuple[str, str, bool],
     differ: bool, names: tuple[str, str],
 ) -> Panels:  # fmt: skip
     """Both sides, and below them their difference, with its standard uncertainty as of independent sides."""
-    (label, _, ratio), keep, words = about, in_windows(axis), ""
+    (label, _, ratio), keep, words = about, window_bands(axis), ""
     estimates = [(e.mean, e.standard_uncertainty) for e in both if e is not None]
 
     def part(label: str, marks: Sequence[Mark], trim: float, rules: Rules = ()) -> Part:
@@ -179,12 +179,12 @@ def _view(
         if np.isfinite(gap[keep]).any():
             where, median = " in the windows" * (not axis.numbered), np.nanmedian(np.abs(gap[keep]))
             words = f"median absolute difference{where} {median:{'.2%' if ratio else '.4f'}}"
-    return Panels(wavelengths(axis), tuple(parts), subject, words=words)
+    return Panels(wavelength_axis(axis), tuple(parts), subject, words=words)
 
 
 def budget_figure(sides: Sides) -> Figure | None:
     """Relative uncertainty of the radiance by source, stacked to the total; a view for each subject and side."""
-    estimates, drawn, _ = drawn_of(sides, "radiance")
+    estimates, drawn, _ = drawn_products(sides, "radiance")
     panels: dict[str, tuple[SpectralAxis, SpectralEstimate]] = {
         f"{subject} ({name})": (side.axis, of_side[subject])
         for subject in drawn
@@ -192,10 +192,10 @@ def budget_figure(sides: Sides) -> Figure | None:
         if side and subject in of_side and of_side[subject].budget
     }
     sources = _ranked_sources([estimate for _, estimate in list(panels.values())[:MAX_PANELS]])
-    return a_view_each("radiance-budget", list(panels), lambda name: _stack(*panels[name], sources, name))
+    return figure_of_views("radiance-budget", list(panels), lambda name: _budget_view(*panels[name], sources, name))
 
 
-def _stack(axis: SpectralAxis, estimate: SpectralEstimate, sources: Sequence[str], subject: str) -> Panels:
+def _budget_view(axis: SpectralAxis, estimate: SpectralEstimate, sources: Sequence[str], subject: str) -> Panels:
     w = axis.centre_nm
     parts = np.zeros((len(sources), w.size))  # variance by source; the last may be everything without its own place
     for source, u in estimate.budget.items():
@@ -209,8 +209,8 @@ def _stack(axis: SpectralAxis, estimate: SpectralEstimate, sources: Sequence[str
         Mark("area", {"x": w, "low": low, "high": high}, source, colour, alpha=1.0)
         for low, high, source, colour in zip(edges[:-1], edges[1:], sources, SOURCES, strict=False)
     ]
-    y = Axis("standard uncertainty [% of radiance]", ends=robust_limits([edges[-1][in_windows(axis)]]))
-    return single(wavelengths(axis), y, marks, subject)
+    y = Axis("standard uncertainty [% of radiance]", ends=robust_limits([edges[-1][window_bands(axis)]]))
+    return single_panel(wavelength_axis(axis), y, marks, subject)
 
 
 def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> list[str]:
@@ -220,7 +220,7 @@ def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> list[str]:
     >>> lit = SpectralEstimate(np.array([0.0, 4.0]), np.eye(2), budget={"noise": np.ones(2), "gain": np.full(2, 2.0)})
     >>> _ranked_sources([dead]), _ranked_sources([dead, lit])
     (['gain', 'noise'], ['gain', 'noise'])
-    >>> view = _stack(SpectralAxis([500.0, 600.0], 5.0), lit, ["gain"], "lawn")
+    >>> view = _budget_view(SpectralAxis([500.0, 600.0], 5.0), lit, ["gain"], "lawn")
     >>> [mark.columns["high"].round(1).tolist() for mark in view.parts[0].marks]
     [[0.0, 55.9]]
     """
@@ -245,7 +245,7 @@ def eigenvalue_figure(sides: Sides, quantity: str) -> Figure | None:
     predicted, observed = sides
     if predicted is None or observed is None:
         return None
-    both = both_of(sides, quantity)
+    both = side_products(sides, quantity)
     counts = [(s, e.n) for s, e in both[1].items() if s in both[0] and e.n and e.pixel_covariance is not None]
     most = sorted(counts, key=lambda one: -one[1])[:_MOST_SPREADS]
     found = {s: sampled(predicted, observed, s, quantity, MOST_EIGENVALUES) for s, _ in most}
@@ -266,7 +266,7 @@ def eigenvalue_figure(sides: Sides, quantity: str) -> Figure | None:
         x, name = Axis(_EIGENVALUE, ends=(0.0, measured.size + 1.0)), f"{subject} (n = {count_text(spread.n)})"
         return Panels(x, (Part(Axis(_EIGENVALUES[quantity], "log"), above), below), name, words=words, reference=1.0)
 
-    return a_view_each("eigenvalues", list(spreads), view, name=f"{quantity}-eigenvalues", quantity=quantity)
+    return figure_of_views("eigenvalues", list(spreads), view, name=f"{quantity}-eigenvalues", quantity=quantity)
 
 
 def tail_figure(sides: Sides) -> Figure | None:
@@ -281,7 +281,7 @@ def tail_figure(sides: Sides) -> Figure | None:
     >>> {mark.label: round(float(mark.numbers["y"][0]), 3) for mark in view.marks[1:]}
     {'normal law': 0.368, 'fitted t': 0.135}
     """
-    predicted, measured = both_of(sides, "distribution")
+    predicted, measured = side_products(sides, "distribution")
 
     def view(subject: str) -> Panels:
         law, stated = measured[subject], predicted.get(subject)
@@ -296,23 +296,23 @@ def tail_figure(sides: Sides) -> Figure | None:
         marks += [] if stated is None else [predicted_mark("line", curve(stated.tail_dof), "predicted law")]
         marks.append(Mark("line", curve(math.inf), "normal law", dash="dotted"))
         marks.append(Mark("line", curve(law.leading_tail_dof, law.leading_scale), "fitted t", DIFFERENCE, "dashdot"))
-        prediction = "" if stated is None else f", {_dof(stated.tail_dof)} predicted"
+        prediction = "" if stated is None else f", {_dof_text(stated.tail_dof)} predicted"
         x = Axis("Mahalanobis distance", ends=(0.0, float(distance[-1]) * 1.03))
         y = Axis("share of pixels farther out", "log", ends=(0.3 / n, 1.5))
         name = f"{subject}: {dimension} components, n = {count_text(n)}"
-        return single(x, y, marks, name, f"{_dof(law.leading_tail_dof)} measured{prediction}")
+        return single_panel(x, y, marks, name, f"{_dof_text(law.leading_tail_dof)} measured{prediction}")
 
     subjects = [s for s, law in measured.items() if law.distance is not None and law.leading_dimension is not None]
-    return a_view_each("pixel-tails", subjects, view)
+    return figure_of_views("pixel-tails", subjects, view)
 
 
-def _dof(dof: float) -> str:
+def _dof_text(dof: float) -> str:
     return "normal" if math.isinf(dof) else f"{dof:.3g} degrees of freedom"
 
 
 def class_error_figure(sides: Sides) -> Figure | None:
     """Classification error of every set of classes and features, both sides, with the bounds from distances."""
-    both = both_of(sides, "classification")
+    both = side_products(sides, "classification")
     keys = list(dict.fromkeys([*both[1], *both[0]]))
     # Left end of the axis: below every error that was measured or predicted, and not below a millionth.
     least = min([1e-2, *(x for of_side in both for e in of_side.values() for x in (e.error, e.lower) if x > 0)])
@@ -331,7 +331,7 @@ def class_error_figure(sides: Sides) -> Figure | None:
 
     entries = [{key: entry(e) for key, e in of_side.items()} for of_side in both]
     x = Axis("probability of error", "log", ends=(floor / 1.4, 1.0))
-    return a_row_each("class-error", keys, entries, x, under=under, floor=floor)
+    return dot_rows("class-error", keys, entries, x, under=under, floor=floor)
 
 
 _MOST_POINTS = 200
@@ -356,7 +356,7 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
     >>> made.title, made.views[0].x.label, made.views[0].note
     ('ROC: measured (dotted: 1 / background samples)', 'P_FA per background sample', '3 objects, 10 background samples')
     """
-    both, drawn, _ = drawn_of(sides, "roc")
+    both, drawn, _ = drawn_products(sides, "roc")
     measured: Mapping[Key, RocCurve] = both[1]
     kinds = grouped(drawn, lambda key: key[1:])  # detector and unit
     # Two decades past what the background can resolve are enough.
@@ -373,7 +373,7 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
         return None
     title = f"ROC: {_present(both, names)}".replace(" and ", " (dashed) and ")
     title += " (dotted: 1 / background samples)" if any(curve.n_background for curve in measured.values()) else ""
-    title += left_out(len(views), len({*both[0], *measured}))
+    title += omissions(len(views), len({*both[0], *measured}))
     return Figure("roc", "roc", title, tuple(views), together="first")
 
 
@@ -396,12 +396,12 @@ def _roc_view(key: Key, curves: Sequence[RocCurve | None], low: float, names: tu
 def _roc_columns(curve: RocCurve, low: float) -> dict[str, Array]:
     """At most a few hundred points of a curve, whose P_FA are evenly spread over the logarithm."""
     columns = {"x": curve.pfa, "y": curve.pd, "low": curve.pd_lower, "high": curve.pd_upper}
-    return _thinned({name: values[curve.pfa >= low] for name, values in columns.items()})
+    return _thin({name: values[curve.pfa >= low] for name, values in columns.items()})
 
 
 def roc_difference_figure(sides: Sides, margin: float | None) -> Figure | None:
     """Predicted minus measured P_D against P_FA with its 95 % interval, for the curves with the most targets."""
-    predicted, measured = both_of(sides, "roc")
+    predicted, measured = side_products(sides, "roc")
     rules: Rules = (("y", 0.0),) if margin is None else (("y", 0.0), ("y", -margin), ("y", margin))
 
     def view(key: Key) -> Panels:
@@ -414,40 +414,40 @@ def roc_difference_figure(sides: Sides, margin: float | None) -> Figure | None:
         columns = {"x": pfa, "y": d, "low": d - below, "high": d + above}
         line = Mark("line", columns, "predicted minus measured, 95 % interval", DIFFERENCE)
         x, y = Axis(_PFA, "log", ends=tuple(pfa[[0, -1]])), Axis("difference of P_D", ends=(-1.05, 1.05))
-        return single(x, y, [line], f"{key[0]}, {key[1]}, by {key[2]}", reference=1e-2, rules=rules)
+        return single_panel(x, y, [line], f"{key[0]}, {key[1]}, by {key[2]}", reference=1e-2, rules=rules)
 
     # Objects are independent and pixels of one object are not: curves by object first, where there are several.
     counts = {key: measured[key].n_target or 0 for key in predicted if key in measured}
     keys = sorted(counts, key=lambda key: (key[2] != "object" or counts[key] < 2, -counts[key]))
     dotted = "" if margin is None else f"dotted: equivalence margin {margin:g}"
-    return a_view_each("roc-difference", keys, view, dotted=dotted)
+    return figure_of_views("roc-difference", keys, view, dotted=dotted)
 
 
 def exceedance_figure(sides: Sides) -> Figure | None:
     """Share of background pixels above a score, predicted and measured, on a logarithmic axis."""
-    predicted, measured = both_of(sides, "exceedance")
+    predicted, measured = side_products(sides, "exceedance")
 
     def view(key: tuple[str, str]) -> Panels:
         law, found, floor, span, rule = predicted[key], measured.get(key), 1e-6, None, None
         columns = {"x": law.threshold, "y": law.probability, "low": law.lower, "high": law.upper}
-        marks = [predicted_mark("line", _thinned(columns))]
+        marks = [predicted_mark("line", _thin(columns))]
         if found is not None:
             keep = found.probability > 0
             x, p = found.threshold[keep], found.probability[keep]
             low, high = np.nan_to_num(found.lower[keep], nan=1e-9), np.nan_to_num(found.upper[keep], nan=1.0)
             columns = {"x": x, "y": p, "low": np.maximum(low, 1e-9), "high": high}
-            marks.insert(0, measured_mark("line", _thinned(columns)))
+            marks.insert(0, measured_mark("line", _thin(columns)))
             floor, span = 0.3 * float(p.min()), (1.05 * x[0] - 0.05 * x[-1], 1.35 * x[-1] - 0.35 * x[0])
             rule = x[np.argmin(np.abs(np.log(p) - math.log(1e-2)))]
         y = Axis("fraction of the background above", "log", ends=(floor, 1.0))
-        return single(Axis("score", ends=span), y, marks, ", ".join(key), reference=rule)
+        return single_panel(Axis("score", ends=span), y, marks, ", ".join(key), reference=rule)
 
     keys = sorted(predicted, key=lambda key: key not in measured)
     intervals = "measured with its 95 % interval, by blocks of the image; predicted with that of its fitted law"
-    return a_view_each("exceedance", keys, view, intervals=intervals if measured else "")
+    return figure_of_views("exceedance", keys, view, intervals=intervals if measured else "")
 
 
-def _thinned(columns: dict[str, Any]) -> dict[str, Any]:
+def _thin(columns: dict[str, Any]) -> dict[str, Any]:
     """A curve of at most so many points, its ends among them."""
     size = columns["x"].size
     keep = np.unique(np.linspace(0, size - 1, min(size, _MOST_POINTS)).round().astype(int))
@@ -456,21 +456,21 @@ def _thinned(columns: dict[str, Any]) -> dict[str, Any]:
 
 def score_figure(sides: Sides) -> Figure | None:
     """Mean and 95 % range of each population's score."""
-    both = [{key: _entry(s.mean, s.sd, s.n) for key, s in of_side.items()} for of_side in both_of(sides, "scores")]
-    return a_row_each("scores", both_first(*both), both, Axis("score"), rules=(0.0, 1.0), sides=_present(both))
+    both = [{key: _entry(s.mean, s.sd, s.n) for key, s in side.items()} for side in side_products(sides, "scores")]
+    return dot_rows("scores", shared_first(*both), both, Axis("score"), rules=(0.0, 1.0), sides=_present(both))
 
 
 def abundance_figure(sides: Sides) -> Figure | None:
     """Area of each target from its abundance, where no nominal area is known."""
     both = [
         {k: _entry(a.area_m2, a.standard_uncertainty, a.n, " m²") for k, a in of_side.items() if a.nominal_m2 is None}
-        for of_side in both_of(sides, "abundance")
+        for of_side in side_products(sides, "abundance")
     ]
     areas = np.array([area for of_side in both for area, *_ in list(of_side.values())[:_MOST_ROWS]])
     areas = areas[np.isfinite(areas)]
     scattered = areas.size > 0 and areas.min() > 0 and areas.max() > 30 * areas.min()
     x = Axis("area [m²]", "log", ends=(areas.min() / 4, areas.max() * 2.5)) if scattered else Axis("area [m²]")
-    return a_row_each("abundance", both_first(*both), both, x, rules=() if scattered else (0.0,), sides=_present(both))
+    return dot_rows("abundance", shared_first(*both), both, x, rules=() if scattered else (0.0,), sides=_present(both))
 
 
 def _entry(value: float, spread: float, n: int | None, unit: str = "") -> Entry:
@@ -487,7 +487,7 @@ def _present(both: Sequence[Mapping[Any, Any]], names: tuple[str, str] = SIDES) 
 
 def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
     """Areas by unmixing against the nominal ones, and the root mean square error by size, by method."""
-    both = [{k: a for k, a in of_side.items() if a.nominal_m2} for of_side in both_of(sides, "abundance")]
+    both = [{k: a for k, a in of_side.items() if a.nominal_m2} for of_side in side_products(sides, "abundance")]
 
     def view(method: str) -> Panels:
         sized = grouped((key for key in both[1] if key[1] == method), lambda key: both[1][key].nominal_m2)
@@ -506,7 +506,7 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
             above.append(make("dots", columns, marker=marker, words=labels))
             points = sorted((float(r.subject.removesuffix(" m2").rpartition(" ")[2]), r.value, r.lower, r.upper)
                             for r in rows if (r.method, r.metric) == (method, f"area_rmse_{name}"))  # fmt: skip
-            below.append(make("line", columns_of(points), "", marker=marker))
+            below.append(make("line", to_columns(points), "", marker=marker))
             text = ", ".join(f"{value:.2g} m² at {size:g} m²" for size, value, *_ in points)
             words += [f"{name.replace('observed', 'measured')}: {text}"] if text else []
         ratio = Axis("estimated / nominal area", ends=(-0.6, 4.2))
@@ -515,7 +515,7 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
         x = Axis("nominal area [m²]", "log", ends=(sizes[0] / 1.8, sizes[-1] * 1.8))
         return Panels(x, parts, method, words="; ".join(words))
 
-    return a_view_each("unmixing-areas", list(dict.fromkeys(m for _, m in both[1])), view)
+    return figure_of_views("unmixing-areas", list(dict.fromkeys(m for _, m in both[1])), view)
 
 
 def object_score_figure(sides: Sides) -> Figure | None:
@@ -530,7 +530,7 @@ def object_score_figure(sides: Sides) -> Figure | None:
             outside += not low <= score <= high
     about: dict[str, Any] = {"rules": (0.0,), "outside": outside, "count": len(predicted)}
     x = Axis("greatest score of the object")
-    return a_row_each("object-scores", list(predicted), [predicted, measured], x, **about)
+    return dot_rows("object-scores", list(predicted), [predicted, measured], x, **about)
 
 
 def transform_figure(sides: Sides) -> Figure | None:
@@ -549,14 +549,14 @@ def transform_figure(sides: Sides) -> Figure | None:
             measured_mark("line", {"x": expected, "y": u}, "objects, in order"),
         )
         x, y = (Axis(label, ends=(0.0, 1.0)) for label in ("uniform quantile", "probability integral transform"))
-        return single(x, y, marks, detector, f"{n} objects, {np.mean(in_central_95(u)):.0%} in the central 95 %")
+        return single_panel(x, y, marks, detector, f"{n} objects, {np.mean(in_central_95(u)):.0%} in the central 95 %")
 
-    return a_view_each("object-transforms", list(dict.fromkeys(detector for (_, detector), *_ in objects)), view)
+    return figure_of_views("object-transforms", list(dict.fromkeys(detector for (_, detector), *_ in objects)), view)
 
 
 def _objects(sides: Sides) -> list[tuple[tuple[str, str], Array, list[tuple[str, float]]]]:
     """(subject, detector), predicted draws, and name and measured score of each object of what both sides hold."""
-    predicted, measured = both_of(sides, "object_scores")
+    predicted, measured = side_products(sides, "object_scores")
     both = ((key, zip(measured[key].names, measured[key].values, strict=True)) for key in predicted if key in measured)
     finite = ((key, [(name, float(score)) for name, score in each if np.isfinite(score)]) for key, each in both)
     return [(key, predicted[key].values.ravel(), scores) for key, scores in finite if scores]
@@ -567,7 +567,7 @@ def many_objects_figure(maps: Mapping[str, ScoreMap], sides: Sides) -> Figure | 
     of their scores; None where they are few.
     """
     found = {name: drawn for name, one in maps.items() if (drawn := _map_objects(name, one, sides)) is not None}
-    return a_view_each("objects", list(found), found.__getitem__)
+    return figure_of_views("objects", list(found), found.__getitem__)
 
 
 def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> Panels | None:
@@ -589,12 +589,12 @@ def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> Panels | None:
     dots = Mark("dots", columns, marker="circle", words=labels, scale=scale, linked=True)
     lines, samples = (float(n) for n in np.shape(score_map.values))
     place = Part(Axis("line [pixel]", ends=(lines, 0.0)), (dots,))
-    parts = place, _scores_of_all(measured, laws, labels)
+    parts = place, _score_histogram(measured, laws, labels)
     words = f"{len(names)} objects, median measured {np.median(measured):.3g}, predicted {np.median(median):.3g}"
     return Panels(Axis("sample [pixel]", ends=(0.0, samples)), parts, name, words=words)
 
 
-def _scores_of_all(measured: Sequence[float], laws: Sequence[tuple[int, Array]], labels: tuple[str, ...]) -> Part:
+def _score_histogram(measured: Sequence[float], laws: Sequence[tuple[int, Array]], labels: tuple[str, ...]) -> Part:
     """Histogram of measured scores and of those that the prediction expects.
 
     Scores beyond the edges count in the outermost bins, so that both sum to the number of objects.
@@ -626,7 +626,7 @@ def densities_figure(sides: Sequence[tuple[str, Products]]) -> Figure | None:
         curves = []
         for number, (label, side) in enumerate(sides):
             drawn = [(subject, one) for (subject, name), one in side.scores.items() if name == detector and one.sd > 0]
-            curves += [(label, number, subject, *density_of(one)) for subject, one in drawn[:_MOST_POPULATIONS]]
+            curves += [(label, number, subject, *score_density(one)) for subject, one in drawn[:_MOST_POPULATIONS]]
         subjects = list(dict.fromkeys(subject for _, _, subject, *_ in curves))
         top = max((float(np.nanmax(y)) for *_, y in curves), default=1.0)
         marks = tuple(
@@ -636,18 +636,18 @@ def densities_figure(sides: Sequence[tuple[str, Products]]) -> Figure | None:
             for label, number, subject, x, y in curves
         )  # fmt: skip
         y = Axis("density", "log", ends=(top * _DEEPEST, 2.0 * top))
-        return single(Axis(f"score of {detector}"), y, marks, detector)
+        return single_panel(Axis(f"score of {detector}"), y, marks, detector)
 
     detectors = list(dict.fromkeys(detector for _, side in sides for _, detector in side.scores))
-    return a_view_each("densities", detectors, view)
+    return figure_of_views("densities", detectors, view)
 
 
-def density_of(score: ScoreDistribution) -> tuple[Array, Array]:
+def score_density(score: ScoreDistribution) -> tuple[Array, Array]:
     """Scores (G,) [1] and the probability density (G,) at each [per unit of score].
 
     Examples
     --------
-    >>> score, density = density_of(ScoreDistribution(0.5, 0.1))
+    >>> score, density = score_density(ScoreDistribution(0.5, 0.1))
     >>> round(float(np.trapezoid(density, score)), 5)
     1.0
     """
@@ -664,7 +664,7 @@ _LONGEST = 34  # characters of an input's name
 _TELLING = 10.8
 
 
-def reason_figures(table: ResultTable) -> list[Figure | None]:
+def attribution_figures(table: ResultTable) -> list[Figure | None]:
     """Bars of all residuals together, a matrix of single subjects, effects of inputs, what-ifs."""
     gains = table.where(product="attribution", metric="likelihood_gain")
     common = sorted(gains.where(subject="all"), key=lambda r: -r.value)
@@ -673,16 +673,16 @@ def reason_figures(table: ResultTable) -> list[Figure | None]:
     residuals = sorted(tests.where(product="attribution"), key=lambda r: -r.before)[:_MOST_QUANTITIES]
     outcomes = tests.where(product="what-if")
     return [
-        _before_and_after("residuals", residuals, [r.subject for r in residuals]),
-        _inputs(common[:_MOST_INPUTS], table) if common and common[0].value >= 1.0 else None,
-        _gain(table),
-        _by_subject([r for r in gains if r.subject != "all"]),
-        _effects(moves) if moves else None,
-        _before_and_after("what-ifs", outcomes, [r.method for r in outcomes]),
+        _chi_square_figure("residuals", residuals, [r.subject for r in residuals]),
+        _input_figure(common[:_MOST_INPUTS], table) if common and common[0].value >= 1.0 else None,
+        _gain_figure(table),
+        _subject_matrix([r for r in gains if r.subject != "all"]),
+        _effect_matrix(moves) if moves else None,
+        _chi_square_figure("what-ifs", outcomes, [r.method for r in outcomes]),
     ]
 
 
-def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
+def _input_figure(rows: Sequence[Result], table: ResultTable) -> Figure:
     needed = table.where(product="attribution", metric="needed_uncertainty")
     stated, names = {r.method for r in needed if r.cause is not Cause.NO_UNCERTAINTY}, [r.method for r in rows]
     best, place, ends = rows[0], np.arange(float(len(rows))), np.array([max(r.value, 0.1) for r in rows])
@@ -690,21 +690,21 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
     # An input that explains nothing has nothing to say, however far it moves.
     words = [r.reason.partition("; ")[0].partition(": ")[2] if r.value >= 1.0 else "" for r in rows]
     bars = Mark("bars", columns, words=tuple(text.replace("-", "−") for text in words), beside="right", alpha=0.85)
-    marks = bars.by_kind([name in stated for name in names], LOOKS["stated"])
+    marks = bars.split([name in stated for name in names], LOOKS["stated"])
     caption = ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[:4])
     is_numbered = any(name.endswith(")") and name.rpartition("(")[2][:-1].isdigit() for name in names)
     numbered = "; a number in brackets: one of several independent shapes of an error" * is_numbered
     x = Axis("improvement of the fit to the differences", "log", ends=(0.1, max(best.value * 100.0, 30.0)))
     y = Axis.named(names, _LONGEST)
-    return of_rows("attribution-inputs", x, y, marks, caption, rules=(_TELLING,), numbered=numbered)
+    return row_figure("attribution-inputs", x, y, marks, caption, rules=(_TELLING,), numbered=numbered)
 
 
-def _gain(table: ResultTable) -> Figure | None:
+def _gain_figure(table: ResultTable) -> Figure | None:
     """The gain of the sensor that would explain the radiance of all subjects, over wavelength."""
 
     def marks(name: str, label: str, **look: Any) -> list[Mark]:
         rows = [r for r in table.where(product="radiance") if r.metric.startswith(f"{name}@")]
-        columns = columns_of([(float(r.metric.partition("@")[2]), r.value, r.lower, r.upper) for r in rows])
+        columns = to_columns([(float(r.metric.partition("@")[2]), r.value, r.lower, r.upper) for r in rows])
         return [Mark("dots", columns, f"{label}, 95 % interval", marker="circle", **look)] if rows else []
 
     gains = marks("sensor_gain", "gain without an offset", colour=DIFFERENCE)
@@ -717,10 +717,10 @@ def _gain(table: ResultTable) -> Figure | None:
     parts = [Part(Axis("measured / predicted radiance"), tuple(gains), (("y", 1.0),))]
     for mark in marks("sensor_offset", "offset beside that gain", hollow=True):
         parts.append(Part(Axis("offset [µW cm⁻² sr⁻¹ nm⁻¹]"), (mark,), (("y", 0.0),)))
-    return captioned("sensor-gain", [Panels(Axis(WAVELENGTH), tuple(parts), words=words)])
+    return compose("sensor-gain", [Panels(Axis(WAVELENGTH), tuple(parts), words=words)])
 
 
-def _by_subject(rows: Sequence[Result]) -> Figure | None:
+def _subject_matrix(rows: Sequence[Result]) -> Figure | None:
     """A matrix of subjects by inputs: the area of a dot is its gain relative to the greatest of its row."""
     gain_of = {(r.subject, r.method): r.value for r in rows}
     # A gain below 1 explains nothing: subjects without a greater one are left out.
@@ -737,16 +737,16 @@ def _by_subject(rows: Sequence[Result]) -> Figure | None:
     cells = np.nonzero(gains > 0.0)
     columns = {"x": cells[1].astype(float), "y": cells[0].astype(float), "size": 14.0 * np.sqrt(part[cells])}
     words = tuple(f"{gain:.0f}" if gain >= 10.0 else f"{gain:.2g}" for gain in gains[cells])
-    marks = Mark("dots", columns, marker="circle", words=words).by_kind(part[cells] >= 0.999, LOOKS["greatest"])
+    marks = Mark("dots", columns, marker="circle", words=words).split(part[cells] >= 0.999, LOOKS["greatest"])
     quiet = len({r.subject for r in rows}) - len(telling)
     more = f"; {quiet} subjects have nothing to explain" if quiet else ""
-    more += left_out(len(subjects), len(telling), "results.csv")
+    more += omissions(len(subjects), len(telling), "results.csv")
     names = Axis.named(inputs, _LONGEST), Axis.named(subjects, _LONGEST)
     summary = f"input of the greatest gain: {'; '.join(f'{s}: {n}' for s, n in top.items())}"
-    return of_rows("attribution-subjects", *names, marks, summary, quiet=more)
+    return row_figure("attribution-subjects", *names, marks, summary, quiet=more)
 
 
-def _effects(rows: Sequence[Result]) -> Figure:
+def _effect_matrix(rows: Sequence[Result]) -> Figure:
     """Change of each number of the comparison per unit of each input, as a matrix of colours."""
 
     def label(r: Result) -> str:
@@ -771,10 +771,10 @@ def _effects(rows: Sequence[Result]) -> Figure:
     largest = max(((abs(v), q, n) for (q, n), v in change.items() if q in shown), default=(0.0, "", ""))
     text = f"the largest, {largest[0]:.2g}, is that of {largest[1]} by {largest[2]}"
     ways = Axis.named(names, _LONGEST), Axis.named([f"{q} (gap {gaps[q]:+.2g})" for q in shown], 64)
-    return of_rows("attribution-effects", *ways, [cells], text)
+    return row_figure("attribution-effects", *ways, [cells], text)
 
 
-def _before_and_after(kind: str, rows: Sequence[Result], names: list[str]) -> Figure | None:
+def _chi_square_figure(kind: str, rows: Sequence[Result], names: list[str]) -> Figure | None:
     """Reduced chi-square of each row, and what it was before."""
     if not rows:
         return None
@@ -782,12 +782,12 @@ def _before_and_after(kind: str, rows: Sequence[Result], names: list[str]) -> Fi
     start = Mark("dots", {"x": before, "y": place}, "as in the campaign", marker="circle", hollow=True)
     columns = {"x": after, "y": place, "low": np.minimum(before, after), "high": np.maximum(before, after)}
     end = Mark("dots", columns, along="x", words=tuple(f"{v:.3g}" if v < 1e3 else count_text(round(v)) for v in after))
-    marks = [start, *end.by_kind(after < before, LOOKS["closer"])]
+    marks = [start, *end.split(after < before, LOOKS["closer"])]
     both = [v for v in (*before, *after) if v > 0]
     scattered = bool(both) and max(both) > 20.0 * min(both)
     x = Axis("reduced chi-square", "log" if scattered else "linear")
     words = "; ".join(f"{one} from {b:.3g} to {r.value:.3g}" for one, r, b in zip(names, rows, before, strict=True))
-    return of_rows(kind, x, Axis.named(names, _LONGEST), marks, words, rules=(1.0,), method=rows[0].method)
+    return row_figure(kind, x, Axis.named(names, _LONGEST), marks, words, rules=(1.0,), method=rows[0].method)
 
 
 def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[str, str] = SIDES) -> list[Figure]:
@@ -805,5 +805,5 @@ def further_figures(sides: Sides, table: ResultTable, margin: float | None) -> l
         budget_figure(sides), *(eigenvalue_figure(sides, quantity) for quantity in SPREAD), tail_figure(sides),
         class_error_figure(sides), score_figure(sides), object_score_figure(sides), transform_figure(sides),
         exceedance_figure(sides), roc_difference_figure(sides, margin), abundance_figure(sides),
-        unmixing_figure(sides, list(table.where(product="abundance"))), *reason_figures(table),
+        unmixing_figure(sides, list(table.where(product="abundance"))), *attribution_figures(table),
     ]))  # fmt: skip

@@ -18,7 +18,7 @@ from PIL import Image, ImageDraw, ImageFont
 from skimage.measure import block_reduce
 
 from hyperval.data import Array, Mask
-from hyperval.figures.spec import VIRIDIS, Drawing, shortened, tones
+from hyperval.figures.spec import VIRIDIS, Drawing, palette_colours, shorten
 from hyperval.run import Quicklook, ScoreMap
 
 _MOST_PIXELS = 800  # along the longer side of a picture
@@ -48,11 +48,11 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     """The scene in three bands, its regions outlined and numbered, with a scale."""
     rgb = np.asarray(quicklook.rgb)
     view = shown_window(rgb.shape[:2], quicklook.regions)
-    step = max(1, math.ceil(max(_size(view)) / _MOST_PIXELS))
+    step = max(1, math.ceil(max(_image_size(view)) / _MOST_PIXELS))
     whole = Image.fromarray(np.ascontiguousarray(rgb[view][::step, ::step]))
     few = whole.quantize(_COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     title = f"Scene with its regions of interest{f' (red, green, blue: {quicklook.bands})' if quicklook.bands else ''}"
-    title += _cut(rgb.shape, view)
+    title += _window_text(rgb.shape, view)
     canvas = _Canvas("Scene", np.asarray(few), few.getpalette() or [], view, step, simulated=simulated)
     return canvas.drawing("scene", "scene", title, quicklook.regions, quicklook.pixel_size_m)
 
@@ -62,23 +62,23 @@ def _map_drawings(file: str, name: str, score_map: ScoreMap, simulated: bool) ->
     scores, outlines, metres = np.asarray(score_map.values), score_map.outlines, score_map.pixel_size_m
     view, limits = shown_window(scores.shape, outlines), _score_limits(score_map)
     values, block = block_maximum(scores[view].astype(float), _MOST_PIXELS)
-    colours = [int(tone[k : k + 2], 16) for tone in tones(VIRIDIS, _TONES) for k in (1, 3, 5)]
+    colours = [int(tone[k : k + 2], 16) for tone in palette_colours(VIRIDIS, _TONES) for k in (1, 3, 5)]
     canvas = functools.partial(_Canvas, colours=colours, view=view, block=block, simulated=simulated)
-    note = _cut(scores.shape, view)
+    note = _window_text(scores.shape, view)
     note += f"; each point is the largest score of {block} by {block} pixels" if block > 1 else ""
     title = f"Score map {name}{', targets outlined' if outlines else ''}{note}"
-    drawn = canvas(f"Score map {name}", _toned(values, limits), limits=limits)
+    drawn = canvas(f"Score map {name}", _colour_numbers(values, limits), limits=limits)
     yield drawn.drawing(file, "scores", title, outlines, metres)
     if score_map.expected is not None:
         expected, _ = block_maximum(score_map.expected.of(view).astype(float), _MOST_PIXELS)
         title = f"Model expectation of {name}, in the colours of the measured map: the mean score of each class of "
         title += "ground and kind of target; blank where the campaign does not state the ground"
-        drawn = canvas(f"Expected score {name}", _toned(expected, limits), limits=limits)
+        drawn = canvas(f"Expected score {name}", _colour_numbers(expected, limits), limits=limits)
         yield drawn.drawing(f"{file}-expected", "scores", title, outlines, metres)
     if score_map.influence is not None:
         ratio, threshold, words = score_map.influence
         limits = float(np.nanmin(ratio)), float(np.nanmax(ratio)) + 1e-9
-        toned = _toned(ratio[view][::block, ::block], limits)
+        toned = _colour_numbers(ratio[view][::block, ::block], limits)
         toned[(values > threshold) & (toned != _WHITE)] = _BLACK
         title = f"False alarms of {name}, predicted over measured, without the part of the image that a pixel "
         title += f"lies in; black: pixels above the threshold{note}. {words[0].upper()}{words[1:]}"
@@ -86,7 +86,7 @@ def _map_drawings(file: str, name: str, score_map: ScoreMap, simulated: bool) ->
         yield drawn.drawing(f"{file}-influence", "scores", title, {}, metres)
 
 
-def _toned(values: Array, limits: tuple[float, float]) -> Indices:
+def _colour_numbers(values: Array, limits: tuple[float, float]) -> Indices:
     """Scores as the number of their colour; white where there is none."""
     low, high = limits
     finite = np.isfinite(values)
@@ -115,7 +115,7 @@ class _Canvas:
         self._pen = ImageDraw.Draw(self._image)
         words, room = title + (" (simulated collection)" if simulated else ""), self._image.width - 16
         while _font(_TITLE).getlength(words) > room and len(words) > 8:
-            words = shortened(words, len(words) - 2)
+            words = shorten(words, len(words) - 2)
         self._pen.text((self._image.width // 2, 6), words, _BLACK, _font(_TITLE), anchor="ma")
         self._axes()
         if limits:
@@ -127,7 +127,7 @@ class _Canvas:
         """The finished picture with the outlines of regions, their numbers, and a scale."""
         labels = []
         for number, (mask, colour) in enumerate(zip(regions.values(), cycle(_OUTLINES)), start=1):
-            ends = self._drawn_at(outline_segments(mask)).reshape(-1, 4)
+            ends = self._to_picture(outline_segments(mask)).reshape(-1, 4)
             for tone, width in ((_BLACK, 5), (colour, 3)):
                 for one in ends.tolist():
                     self._pen.line(one, tone, width)
@@ -136,7 +136,7 @@ class _Canvas:
         for label in labels if len(labels) <= _MOST_NUMBERED else ():  # more would hide what they name
             self._label(*label)
         if pixel_size_m and math.isfinite(pixel_size_m):
-            length_m = _round_length(0.25 * _size(self._view)[1] * pixel_size_m)
+            length_m = _round_length(0.25 * _image_size(self._view)[1] * pixel_size_m)
             start, y = _LEFT + 0.04 * (self._end[0] - _LEFT), self._end[1] - 0.04 * (self._end[1] - _TOP)
             right = start + length_m / pixel_size_m * self._per_pixel
             for colour, width, more in ((_BLACK, 12, 2), (_WHITE, 7, 0)):
@@ -146,11 +146,11 @@ class _Canvas:
         self._image.save(out, format="png")
         named = "; ".join(f"{number}: {one}" for number, one in enumerate(regions, start=1))
         named = f"{len(regions)} outlines" if len(regions) > _MOST_NUMBERED else named
-        width_px, (lines, samples) = round(self._image.width / _PER_CSS), _size(self._view)
+        width_px, (lines, samples) = round(self._image.width / _PER_CSS), _image_size(self._view)
         alt = f"{title}: {lines} lines by {samples} samples; outlined: {named or 'nothing'}."
         return Drawing(name, section, title, alt, out.getvalue(), "png", width_px, named)
 
-    def _drawn_at(self, places: npt.ArrayLike) -> Array:
+    def _to_picture(self, places: npt.ArrayLike) -> Array:
         """Where (..., 2) samples and lines of the image lie in the picture."""
         lines, samples = self._view
         return np.asarray((np.asarray(places) - (samples.start, lines.start)) * self._per_pixel + (_LEFT, _TOP))
@@ -162,11 +162,11 @@ class _Canvas:
         self._pen.text(((_LEFT + right) / 2, bottom + 44), "sample [pixel]", _BLACK, _font(_LETTER), anchor="ma")
         lines, samples = self._view
         for sample in _ticks(samples):
-            x, _ = self._drawn_at((sample, 0.0))
+            x, _ = self._to_picture((sample, 0.0))
             self._pen.line((x, bottom, x, bottom + 9), _GREY, 2)
             self._pen.text((x, bottom + 14), f"{sample:g}", _BLACK, _font(_SMALL), anchor="ma")
         for line in _ticks(lines):
-            _, y = self._drawn_at((0.0, line))
+            _, y = self._to_picture((0.0, line))
             self._pen.line((_LEFT - 11, y, _LEFT - 2, y), _GREY, 2)
             self._pen.text((_LEFT - 16, y), f"{line:g}", _BLACK, _font(_SMALL), anchor="rm")
 
@@ -212,7 +212,7 @@ def shown_window(shape: tuple[int, ...], regions: Mapping[str, Any]) -> Window:
     return window[0], window[1]
 
 
-def _size(view: Window) -> tuple[int, int]:
+def _image_size(view: Window) -> tuple[int, int]:
     """Numbers of lines and samples."""
     return view[0].stop - view[0].start, view[1].stop - view[1].start
 
@@ -258,14 +258,14 @@ def _round_length(length: float) -> float:
     return next(step * decade for step in (5.0, 2.0, 1.0) if step * decade <= length * (1 + 1e-12))
 
 
-def _cut(shape: tuple[int, ...], view: Window) -> str:
+def _window_text(shape: tuple[int, ...], view: Window) -> str:
     """Of a window that is not the whole image "; ", and its lines and samples; empty when it is."""
     lines, samples = (f"{part.start} to {part.stop - 1} of {size}" for part, size in zip(view, shape, strict=False))
-    return "" if _size(view) == tuple(shape[:2]) else f"; lines {lines}, samples {samples}"
+    return "" if _image_size(view) == tuple(shape[:2]) else f"; lines {lines}, samples {samples}"
 
 
 def _css_width(view: Window) -> float:
     """Width [CSS pixels] that suits the shape of the picture; small, as three stand beside each other."""
-    lines, samples = _size(view)
+    lines, samples = _image_size(view)
     aspect = min(max(lines / samples, 0.15), 4.0)
     return 96 * (min(4.6, 4.2 / aspect) if aspect < 2.0 else max(5.2 / aspect, 2.0))

@@ -21,7 +21,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullLocator
 
-from hyperval.figures.spec import GREY, LOOKS, Axis, ColourScale, Drawing, Figure, Kind, Mark, Panels, Part, shortened
+from hyperval.figures.spec import GREY, LOOKS, Axis, ColourScale, Drawing, Figure, Kind, Mark, Panels, Part, shorten
 
 _ABSORPTION = "#e9e9e9"
 _ROW_IN, _LABEL, _LABEL_BELOW = 0.3, 40, 16  # [in] of a named row; letters along an axis, and along a low one
@@ -51,14 +51,14 @@ def drawings_of(
         for figure in figures:
             for number, views in enumerate(figure.pages, start=1):
                 name = figure.name if len(figure.pages) == 1 else f"{figure.name}-{number}"
-                content, canvas = io.BytesIO(), canvas_of(figure, views, simulated=simulated, journal=journal)
+                content, canvas = io.BytesIO(), draw_views(figure, views, simulated=simulated, journal=journal)
                 canvas.savefig(content, format=kind, metadata=LOOKS["metadata"][kind], dpi=300.0)
                 content_of = figure.section, figure.title, figure.alt, content.getvalue(), kind
                 out.append(Drawing(name, *content_of, legend=figure.legend))
     return out
 
 
-def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journal: bool = False) -> Canvas:
+def draw_views(figure: Figure, views: Sequence[Panels], *, simulated: bool, journal: bool = False) -> Canvas:
     """Panels of some views, named at the left and at the foot alone, with one legend."""
     columns = 1 if len(views) == 1 else 2 if len(views) <= 4 else 3
     rows, parts = math.ceil(len(views) / columns), max(len(view.parts) for view in views)
@@ -67,7 +67,7 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
     canvas = Canvas(figsize=(scale * figure.width_in, height_in), layout="constrained")
     FigureCanvasAgg(canvas)
     if not journal:
-        words = plain(figure.head or figure.title) + (" (simulated collection)" if simulated else "")
+        words = escape(figure.head or figure.title) + (" (simulated collection)" if simulated else "")
         canvas.suptitle(words, fontsize=10.5)
     names = [len(part.y.names) for part in views[0].parts]
     ratios = [count + 1.5 for count in names] if any(names) else [2.0, *[1.0] * (parts - 1)]
@@ -78,21 +78,21 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
         for number, part in enumerate(view.parts):
             axes = canvas.add_subplot(grid[parts * row + number, column], sharex=None if part.x else above)
             if above is None:
-                name = (plain(shortened(line, 44)) for line in (view.name, view.note) if line)
+                name = (escape(shorten(line, 44)) for line in (view.name, view.note) if line)
                 axes.set_title("\n".join(name), loc="left")
             draw_part(axes, view, part)
             last = number == len(view.parts) - 1
-            words = fill(plain(part.y.label), _LABEL if number == 0 or part.x else _LABEL_BELOW).replace(" [", "\n[")
+            words = fill(escape(part.y.label), _LABEL if number == 0 or part.x else _LABEL_BELOW).replace(" [", "\n[")
             axes.set_ylabel(words if column == 0 else "")
-            axes.set_xlabel(plain((part.x or view.x).label) if part.x or (last and k + columns >= len(views)) else "")
+            axes.set_xlabel(escape((part.x or view.x).label) if part.x or (last and k + columns >= len(views)) else "")
             if not last and not part.x:
                 axes.tick_params(labelbottom=False)
             above = axes
-    handles, labels = legend_of(*views)
+    handles, labels = legend_entries(*views)
     fit = int(figure.width_in / (0.08 * sum(map(len, labels)) / max(len(labels), 1) + 0.55))  # beside each other
     place: dict[str, Any] = {"loc": "outside lower center", "ncols": min(max(fit, 1), 4)}
     if figure.legend_title:
-        place = {"loc": "outside right center", "title": plain(figure.legend_title)}
+        place = {"loc": "outside right center", "title": escape(figure.legend_title)}
     if labels:
         canvas.legend(handles, labels, **place)
     return canvas
@@ -105,22 +105,22 @@ def _height_in(view: Panels) -> float:
     return named if rows else 1.3 + 1.2 * len(view.parts)
 
 
-def legend_of(*views: Panels) -> tuple[list[Any], list[str]]:
+def legend_entries(*views: Panels) -> tuple[list[Any], list[str]]:
     """Handles and labels of the legend of views."""
     marks = [mark for view in views for mark in view.marks]
     entries = {m.label: _handle(next(one for one in marks if one.label == m.label)) for m in marks if m.label}
-    if any(view.shaded for view in views):
+    if any(view.has_interval for view in views):
         entries["95 % interval"] = Patch(color=GREY, alpha=0.3, linewidth=0)
     if views[0].x.absorption:
         entries["absorption band"] = Patch(color=_ABSORPTION)
-    return list(entries.values()), [plain(label) for label in entries]
+    return list(entries.values()), [escape(label) for label in entries]
 
 
 def draw_part(axes: Axes, view: Panels, part: Part) -> None:
     """One plot into axes."""
     x = part.x or view.x
     for way, axis in (("x", x), ("y", part.y)):
-        _scale(axes, way, axis, view.ends(way, part))  # type: ignore[arg-type]
+        _scale(axes, way, axis, view.limits(way, part))  # type: ignore[arg-type]
     for start, end in x.absorption:
         axes.axvspan(start, end, color=_ABSORPTION, linewidth=0, zorder=0)
     for mark in part.marks:
@@ -128,7 +128,7 @@ def draw_part(axes: Axes, view: Panels, part: Part) -> None:
     for way, place in part.rules:
         (axes.axvline if way == "x" else axes.axhline)(place, color=GREY, linewidth=0.9, linestyle=":")
     for height, note in enumerate(part.y.notes):
-        axes.annotate(plain(note), (1.0, height), xycoords=("axes fraction", "data"), xytext=(4, 0),
+        axes.annotate(escape(note), (1.0, height), xycoords=("axes fraction", "data"), xytext=(4, 0),
                       textcoords="offset points", va="center", annotation_clip=False)  # fmt: skip
 
 
@@ -136,7 +136,7 @@ def _scale(axes: Axes, way: str, axis: Axis, ends: tuple[float, float]) -> None:
     ruler = axes.xaxis if way == "x" else axes.yaxis
     if axis.scale == "names":
         turned: dict[str, Any] = {"rotation": 35, "ha": "right"} if way == "x" else {}
-        ruler.set_ticks(range(len(axis.names)), [plain(name) for name in axis.names], **turned)
+        ruler.set_ticks(range(len(axis.names)), [escape(name) for name in axis.names], **turned)
         axes.grid(visible=False, axis=way)  # type: ignore[arg-type]
         ends = ends if way == "x" else ends[::-1]
     elif axis.scale == "log":
@@ -188,9 +188,9 @@ def _mark(axes: Axes, mark: Mark) -> None:
 def _words(axes: Axes, mark: Mark, x: Any, y: Any) -> None:
     distance = 9 if "size" in mark.columns else 5
     shift, side = {"left": (-distance, "right"), "right": (distance, "left"), "centre": (0, "center")}[mark.beside]
-    shades = mark.shades if mark.scale is not None else ["black"] * len(mark.words)
+    shades = mark.text_colours if mark.scale is not None else ["black"] * len(mark.words)
     for a, b, words, shade in zip(x, y, mark.words, shades, strict=True):
-        axes.annotate(plain(words), (a, b), xytext=(shift, 0), textcoords="offset points", ha=side, va="center",
+        axes.annotate(escape(words), (a, b), xytext=(shift, 0), textcoords="offset points", ha=side, va="center",
                       fontsize=7.0, color=shade)  # fmt: skip
 
 
@@ -199,7 +199,7 @@ def _colours(axes: Axes, scale: ColourScale, values: Any) -> Any:
     cmap = LinearSegmentedColormap.from_list(scale.kind, scale.palette)
     mapper = ScalarMappable(Normalize(scale.low, scale.high), cmap)
     if scale.label:
-        axes.figure.colorbar(mapper, ax=axes, label=plain(scale.label), shrink=0.8)
+        axes.figure.colorbar(mapper, ax=axes, label=escape(scale.label), shrink=0.8)
     return mapper.to_rgba(values)
 
 
@@ -211,7 +211,7 @@ def _handle(mark: Mark) -> Any:
                   markerfacecolor="none" if mark.hollow else mark.colour)  # fmt: skip
 
 
-def plain(text: str) -> str:
+def escape(text: str) -> str:
     """Text that matplotlib takes as it stands: no mathematics between dollar signs, no hidden label."""
     text = " ".join(text.split()).replace("$", r"\$")
     return f" {text}" if text.startswith("_") else text

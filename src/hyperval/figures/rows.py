@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hyperval.figures.spec import LOOKS, Axis, Figure, Mark, Panels, Part, captioned, columns_of, left_out, of_rows
+from hyperval.figures.spec import LOOKS, Axis, Figure, Mark, Panels, Part, compose, omissions, row_figure, to_columns
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
 from hyperval.results import WORST_FIRST, Outcome, Result, grouped
 from hyperval.spectra.axis import SPECTRAL_REGIONS_NM
@@ -114,12 +114,12 @@ def short_text(value: float, sign: str = "", limits: Iterable[float] = ()) -> st
     return (text.rstrip("0").removesuffix(".") if digits else text).replace("-", "−")
 
 
-def ranked(rows: Sequence[Result]) -> list[Result]:
+def sort_rows(rows: Sequence[Result]) -> list[Result]:
     """Rows with their effects, the worst first."""
     return sorted(map(with_effect, rows), key=lambda row: (WORST_FIRST.index(row.outcome), -excess(row)))
 
 
-def criteria_of(rows: Sequence[Result]) -> list[Result]:
+def find_criteria(rows: Sequence[Result]) -> list[Result]:
     """The acceptance criteria that the model moves; where there are none, informational rows with an effect."""
     model = [row for row in rows if row.planned and row.evidence is Evidence.MODEL]
     criteria = [row for row in model if row.gates]
@@ -130,7 +130,7 @@ def criteria_of(rows: Sequence[Result]) -> list[Result]:
     ]  # fmt: skip
 
 
-def _words(row: Result) -> str:
+def _title(row: Result) -> str:
     return plain_words(row.metric, row.product).partition(" of the ")[0]
 
 
@@ -143,7 +143,7 @@ def row_label(row: Result, *, several: bool = False) -> str:
     region = f"P_FA {place}" if place.startswith("1e") else f"{'–'.join(ends)} nm" if nm else " ".join(ends)
     region = region or _REGIONS.get(base.rsplit("_", 1)[-1], "")
     unseen = "unseen" * (row.subjects_seen == "unseen")
-    return ", ".join(word for word in (subject, unseen, region, _words(row) if several else "") if word) or _words(row)
+    return ", ".join(word for word in (subject, unseen, region, _title(row) if several else "") if word) or _title(row)
 
 
 def outcome_words(rows: Iterable[Result]) -> str:
@@ -154,8 +154,8 @@ def outcome_words(rows: Iterable[Result]) -> str:
 
 def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     """Criteria as effects: a plot for each product and unit, the worst first; similar ones are folded into one row."""
-    criteria_rows = [row for row in ranked(criteria_of(rows)) if row.outcome is not Outcome.SKIPPED]
-    groups = grouped(criteria_rows, lambda row: (row.product, row.effect_unit or _words(row)))
+    criteria_rows = [row for row in sort_rows(find_criteria(rows)) if row.outcome is not Outcome.SKIPPED]
+    groups = grouped(criteria_rows, lambda row: (row.product, row.effect_unit or _title(row)))
     if not groups:
         return None
     unmet = [group for group in groups.values() if group[0].outcome is not Outcome.AGREES] or list(groups.values())
@@ -163,21 +163,21 @@ def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     room = [min(1 + sum(row.outcome is not Outcome.AGREES for row in group), len(group)) for group in shown]
     while sum(room) > _MOST_ROWS - len(shown) and max(room) > 1:
         room[room.index(max(room))] -= 1
-    parts = [_part(group, most) for group, most in zip(shown, room, strict=True)]
+    parts = [_criteria_part(group, most) for group, most in zip(shown, room, strict=True)]
     # One legend for all: marks of the first plot without a number.
     names = {mark.label: mark for part in parts for mark in part.marks}
     legend = [replace(mark, columns=dict.fromkeys(mark.columns, (math.nan,)), words=()) for mark in names.values()]
     parts = [replace(part, marks=tuple(replace(mark, label="") for mark in part.marks)) for part in parts]
     parts[0] = replace(parts[0], marks=(*legend, *parts[0].marks))
     criteria = "Acceptance criteria" if any(row.gates for row in criteria_rows) else "Informational comparisons"
-    more = left_out(sum(map(len, shown)), len(criteria_rows), "summary.csv")
-    return captioned("criteria", [Panels(Axis(), tuple(parts))], more, criteria=criteria)
+    more = omissions(sum(map(len, shown)), len(criteria_rows), "summary.csv")
+    return compose("criteria", [Panels(Axis(), tuple(parts))], more, criteria=criteria)
 
 
-def _part(rows: Sequence[Result], most: int) -> Part:
+def _criteria_part(rows: Sequence[Result], most: int) -> Part:
     """The plot of one product and unit: ``most`` rows by themselves, the others in one."""
     most = len(rows) if len(rows) <= most + 1 else most
-    several = len({_words(row) for row in rows}) > 1
+    several = len({_title(row) for row in rows}) > 1
     names = [row_label(row, several=several) + " †" * row.set_after for row in rows[:most]]
     methods = [f", {row.method.partition('/')[0]}" for row in rows[:most]]
     names = [n + m * (names.count(n) > 1 and len(set(methods)) > 1) for n, m in zip(names, methods, strict=True)]
@@ -187,24 +187,24 @@ def _part(rows: Sequence[Result], most: int) -> Part:
         names.append(f"more: {outcome_words(rest)}")
         values = [row.effect for row in rest if math.isfinite(row.effect)]
         notes.append(" to ".join(short_text(v, _sign(first)) for v in (min(values), max(values))) if values else "")
-    low, high = _ends(rows, False)
+    low, high = _limits(rows, False)
     log = first.effect_unit == _P_VALUE or (first.ideal == 1.0 and all(row.effect > 0 for row in rows) and high > 3.0)
-    ends = _ends(rows, True) if log else (low, high)
-    title = ": ".join(dict.fromkeys([product_words(first.product), *([] if several else [_words(first)])]))
+    ends = _limits(rows, True) if log else (low, high)
+    title = ": ".join(dict.fromkeys([product_words(first.product), *([] if several else [_title(first)])]))
     label = f"{title[:1].upper()}{title[1:]}" + (f" [{first.effect_unit}]" if first.effect_unit else "")
     # What could be detected is another for each of those that are folded.
     folded = (replace(row, detectable_low=math.nan, detectable_high=math.nan) for row in rest)
     placed = [*((float(i), row) for i, row in enumerate(rows[:most])), *((float(most), row) for row in folded)]
     ideal = (("x", first.ideal),) if math.isfinite(first.ideal) else ()
     y = replace(Axis.named(names), notes=tuple(notes))
-    return Part(y, _marks(placed, ends), ideal, Axis(label, "log" if log else "linear", ends=ends))  # type: ignore[arg-type]
+    return Part(y, _criteria_marks(placed, ends), ideal, Axis(label, "log" if log else "linear", ends=ends))  # type: ignore[arg-type]
 
 
 def _detectable(row: Result) -> tuple[float, ...]:
     return tuple(d for d in (row.detectable_low, row.detectable_high) if math.isfinite(d))
 
 
-def _ends(rows: Sequence[Result], log: bool) -> tuple[float, float]:
+def _limits(rows: Sequence[Result], log: bool) -> tuple[float, float]:
     """Ends that hold intervals, ranges and the ideal; sizes that could be detected where they are not far out."""
     names = ("effect", "effect_lower", "effect_upper", "accepted_low", "accepted_high", "ideal")
     values = [getattr(row, name) for row in rows for name in names]
@@ -221,7 +221,7 @@ def _ends(rows: Sequence[Result], log: bool) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _marks(rows: Sequence[tuple[float, Result]], ends: tuple[float, float]) -> tuple[Mark, ...]:
+def _criteria_marks(rows: Sequence[tuple[float, Result]], ends: tuple[float, float]) -> tuple[Mark, ...]:
     accepted = dict.fromkeys((y, row.accepted_low, row.accepted_high) for y, row in rows)
     ranges, marks = [one for one in accepted if any(map(math.isfinite, one[1:]))], []
     if ranges:
@@ -231,10 +231,10 @@ def _marks(rows: Sequence[tuple[float, Result]], ends: tuple[float, float]) -> t
         marks.append(Mark("bars", columns, "accepted range", _ACCEPTED, alpha=1.0))
     sized = [(y, row) for y, row in rows if math.isfinite(row.effect)]
     numbers = [(row.effect, row.effect_lower, row.effect_upper, y) for y, row in sized]
-    columns = columns_of(numbers, ("x", "low", "high", "y"))
+    columns = to_columns(numbers, ("x", "low", "high", "y"))
     columns["x"] = np.maximum(columns["x"], ends[0])  # a p-value may be as small as it likes
     words = (f"{row.product}, {row_label(row)}: {row.outcome.word}, {effect_text(row)}" for _, row in sized)
-    marks += Mark("dots", columns, along="x", words=tuple(words)).by_kind([row.outcome for _, row in sized], _LOOKS)
+    marks += Mark("dots", columns, along="x", words=tuple(words)).split([row.outcome for _, row in sized], _LOOKS)
     found = [(d, y) for y, row in rows for d in _detectable(row) if ends[0] <= d <= ends[1]]
     if found:
         x, y = np.array(found).T
@@ -260,4 +260,4 @@ def campaigns_figure(tables: Mapping[str, Sequence[Result]]) -> Figure | None:
     notes = tuple(outcome_words(criteria[name]) for name in names)
     words = "; ".join(f"{name}: {note}" for name, note in zip(names, notes, strict=True))
     axes = Axis("share of acceptance criteria [%]", ends=(0.0, 100.0)), replace(Axis.named(names), notes=notes)
-    return of_rows("campaigns", *axes, marks, words)
+    return row_figure("campaigns", *axes, marks, words)

@@ -1,6 +1,6 @@
 """A figure, stated once: axes with units, marks with intervals.
 
-``charts.js`` draws it in a page from :func:`statement`, :mod:`hyperval.figures.print` on paper.
+``charts.js`` draws it in a page from :func:`figure_json`, :mod:`hyperval.figures.print` on paper.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ class Axis:
     @classmethod
     def named(cls, names: Sequence[str], length: int = 44) -> Axis:
         """An axis of named rows."""
-        return cls("", "names", tuple(shortened(name, length) for name in names))
+        return cls("", "names", tuple(shorten(name, length) for name in names))
 
     @property
-    def in_words(self) -> str:
-        """What it is, in words."""
+    def description(self) -> str:
+        """Label and scale in words."""
         return self.label + " (logarithmic)" * (self.scale == "log")
 
     @property
@@ -131,15 +131,15 @@ class Mark:
             del out["low"], out["high"]
         return out
 
-    def told_at(self, place: float) -> str:
-        """The point nearest to a place along x, with its interval, in words."""
+    def describe_at(self, place: float) -> str:
+        """The point nearest to x = ``place``, with its interval, in words."""
         numbers = self.numbers
         i = int(np.argmin(abs(numbers["x"] - place)))
         ends = f" ({numbers['low'][i]:.3g} to {numbers['high'][i]:.3g})" if "low" in numbers else ""
         return f"{self.label}: {numbers['y'][i]:.3g}{ends} at {numbers['x'][i]:.3g}"
 
-    def by_kind(self, kinds: Sequence[Any], looks: Mapping[Any, Mapping[str, Any]]) -> list[Mark]:
-        """A mark for each kind of its points that there is, each kind with its own look."""
+    def split(self, kinds: Sequence[Any], looks: Mapping[Any, Mapping[str, Any]]) -> list[Mark]:
+        """One mark for each kind of points, each with its own look."""
         marks = []
         for kind, look in looks.items():
             members = [i for i, one in enumerate(kinds) if one == kind]
@@ -150,7 +150,7 @@ class Mark:
         return marks
 
     @property
-    def shades(self) -> list[str]:
+    def text_colours(self) -> list[str]:
         """Colours of the words in cells, legible on these."""
         scale = self.scale or ColourScale("rising", 0.0, 1.0)
         part = (np.asarray(self.columns["value"], float) - scale.low) / (scale.high - scale.low)
@@ -202,23 +202,23 @@ class Panels:
 
     @property
     def marks(self) -> list[Mark]:
-        """Those of all its plots."""
+        """The marks of all its plots."""
         return [mark for part in self.parts for mark in part.marks]
 
     @property
-    def shaded(self) -> bool:
+    def has_interval(self) -> bool:
         """Whether a line has its interval about it."""
         return any(mark.kind in ("line", "steps") and "low" in mark.numbers for mark in self.marks)
 
     @property
-    def in_words(self) -> str:
+    def description(self) -> str:
         """Name and numbers in words."""
-        numbers = [mark.told_at(self.reference) for mark in self.marks if mark.label and self.reference is not None]
+        numbers = [mark.describe_at(self.reference) for mark in self.marks if mark.label and self.reference is not None]
         points = [": ".join(filter(None, (m.label, "; ".join(m.words)))) for m in self.marks if any(m.words)]
         texts = list(filter(None, [*numbers, self.words])) or points
         return ": ".join(filter(None, (self.name, "; ".join(texts))))
 
-    def ends(self, way: Way, part: Part) -> tuple[float, float]:
+    def limits(self, way: Way, part: Part) -> tuple[float, float]:
         """Ends of an axis of a part: as stated, or with a margin about all along it and the rules that lie near."""
         axis = part.y if way == "y" else part.x or self.x
         if axis.scale == "names":
@@ -280,9 +280,9 @@ class Figure:
     def alt(self) -> str:
         """Text for those who cannot see it: title, axes, what is shown, and each view in words."""
         shared = [part for part in self.views[0].parts if part.x is None]
-        axes = [" over ".join(filter(None, (part.y.in_words, self.views[0].x.in_words))) for part in shared]
+        axes = [" over ".join(filter(None, (part.y.description, self.views[0].x.description))) for part in shared]
         names = dict.fromkeys(mark.label for view in self.views for mark in view.marks)
-        texts = ["; ".join(filter(None, each)) for each in (axes, names, (view.in_words for view in self.views))]
+        texts = ["; ".join(filter(None, each)) for each in (axes, names, (view.description for view in self.views))]
         parts = [f"{what}{words}" for what, words in zip(("Axes: ", "Shown: ", ""), texts, strict=True) if words]
         return f"{'. '.join([self.title, *parts])}."
 
@@ -290,7 +290,7 @@ class Figure:
     def caption(self) -> str:
         """Title, legend, and what is shaded where neither they nor a label says it."""
         said = " ".join((self.title, self.legend, *(mark.label for view in self.views for mark in view.marks)))
-        interval = "95 %" not in said and any(view.shaded for view in self.views)
+        interval = "95 %" not in said and any(view.has_interval for view in self.views)
         gases = any(view.x.absorption for view in self.views)
         keys = self.legend, "shaded: 95 % interval" * interval, "grey: absorption bands" * gases
         legend = "; ".join(filter(None, keys))
@@ -324,12 +324,12 @@ class Drawing:
         return f"{self.name}.{self.kind}"
 
 
-def base64_of(content: bytes) -> str:
+def to_base64(content: bytes) -> str:
     """Bytes as text."""
     return base64.b64encode(content).decode("ascii")
 
 
-def statement(figure: Figure) -> str:
+def figure_json(figure: Figure) -> str:
     """The figure as JSON, which the script of a page draws; nothing in it ends the element that holds it.
 
     Columns are little-endian float32 in base64, each once; what is empty is left out.
@@ -337,25 +337,25 @@ def statement(figure: Figure) -> str:
     columns: dict[str, int] = {}
 
     def place(values: Any) -> int:
-        text = base64_of(np.atleast_1d(np.asarray(values, "<f4")).tobytes())
+        text = to_base64(np.atleast_1d(np.asarray(values, "<f4")).tobytes())
         return columns.setdefault(text, len(columns))
 
-    def said(what: Any, **more: Any) -> dict[str, Any]:
+    def fields(what: Any, **more: Any) -> dict[str, Any]:
         return {name: value for name, value in {**vars(what), **more}.items() if value}
 
     def axis(item: Axis, ends: tuple[float, float]) -> dict[str, Any]:
-        return said(item, ends=ends, absorption=bool(item.absorption))
+        return fields(item, ends=ends, absorption=bool(item.absorption))
 
     def mark(item: Mark) -> dict[str, Any]:
         more: dict[str, Any] = {"columns": {name: place(values) for name, values in item.columns.items()}}
         if item.scale is not None:
-            more["scale"] = {**vars(item.scale), "palette": tones(item.scale.palette, _TONES)}
-            more["shades"] = item.shades if item.beside == "centre" else None
-        return said(item, **more)
+            more["scale"] = {**vars(item.scale), "palette": palette_colours(item.scale.palette, _TONES)}
+            more["shades"] = item.text_colours if item.beside == "centre" else None
+        return fields(item, **more)
 
     views = [
         {"subject": view.subject, "tab": view.tab, "parts": [
-            {"x": axis(part.x or view.x, view.ends("x", part)), "y": axis(part.y, view.ends("y", part)),
+            {"x": axis(part.x or view.x, view.limits("x", part)), "y": axis(part.y, view.limits("y", part)),
              "own": part.x is not None, "rules": part.rules, "marks": [mark(one) for one in part.marks]}
             for part in view.parts
         ], "note": ": ".join(filter(None, (view.subject * (len(figure.views) == 1), view.note)))}
@@ -368,7 +368,7 @@ def statement(figure: Figure) -> str:
     return json.dumps(data, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
 
 
-def columns_of(rows: Sequence[Sequence[float]], names: Sequence[str] = ("x", "y", "low", "high")) -> dict[str, Array]:
+def to_columns(rows: Sequence[Sequence[float]], names: Sequence[str] = ("x", "y", "low", "high")) -> dict[str, Array]:
     """Rows of numbers as columns."""
     return dict(zip(names, np.array(rows, float).reshape(-1, len(names)).T, strict=True))
 
@@ -383,19 +383,19 @@ def measured_mark(kind: Any, columns: Mapping[str, Any], label: str = "measured"
     return Mark(kind, columns, label, MEASURED, **more)
 
 
-def single(
+def single_panel(
     x: Axis, y: Axis, marks: Iterable[Mark], subject: str = "", words: str = "", *, rules: Rules = (), **more: Any
 ) -> Panels:
     """A view of one plot."""
     return Panels(x, (Part(y, tuple(marks), rules),), subject, words=words, **more)
 
 
-def tones(palette: Sequence[str], count: int) -> list[str]:
-    """So many colours along a palette, those between its own mixed evenly.
+def palette_colours(palette: Sequence[str], count: int) -> list[str]:
+    """Colours at even steps along a palette, interpolated between its own.
 
     Examples
     --------
-    >>> tones(("#000000", "#ffffff"), 3)
+    >>> palette_colours(("#000000", "#ffffff"), 3)
     ['#000000', '#808080', '#ffffff']
     """
     colours = np.array([[int(tone[k : k + 2], 16) for k in (1, 3, 5)] for tone in palette], float)
@@ -404,7 +404,7 @@ def tones(palette: Sequence[str], count: int) -> list[str]:
     return [f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in mixed.round().astype(int)]
 
 
-def shortened(text: str, length: int = 34) -> str:
+def shorten(text: str, length: int = 34) -> str:
     """Text for a narrow place, its middle left out when it is too long."""
     if len(text) <= length:
         return text
@@ -412,8 +412,8 @@ def shortened(text: str, length: int = 34) -> str:
     return f"{text[:head]}…{text[len(text) - (length - 1 - head) :]}"
 
 
-def left_out(shown: int, every: int, where: str = "products.nc") -> str:
-    """What a caption adds when a figure does not show everything; empty when it does."""
+def omissions(shown: int, every: int, where: str = "products.nc") -> str:
+    """Note of a caption on what the figure leaves out; empty when it shows everything."""
     return "" if shown == every else f"; {shown} of {every} shown, all in {where}"
 
 
@@ -429,10 +429,10 @@ def robust_limits(values: Sequence[Any], trim: float = 0.5) -> tuple[float, floa
     return low - margin * (low < 0.0), high + margin
 
 
-def captioned(kind: str, views: Sequence[Panels], more: str = "", *, name: str = "", **values: Any) -> Figure:
+def compose(kind: str, views: Sequence[Panels], more: str = "", *, name: str = "", **values: Any) -> Figure:
     """A figure in the words of its kind, which ``words.yaml`` has; values fill them, ``more`` ends its caption.
 
-    >>> captioned("class-error", [], "; 3 of 4 shown", floor=0.01).legend
+    >>> compose("class-error", [], "; 3 of 4 shown", floor=0.01).legend
     'bar: 95 % interval; an error below 1e-02 is drawn there'
     """
     words = {key: text.format(**values) for key, text in package_table("figures/words.yaml")[kind].items()}
@@ -440,16 +440,16 @@ def captioned(kind: str, views: Sequence[Panels], more: str = "", *, name: str =
     return Figure(name or kind, views=tuple(views), **words)
 
 
-def a_view_each(kind: str, items: Sequence[Any], view: Callable[[Any], Panels], **values: Any) -> Figure | None:
+def figure_of_views(kind: str, items: Sequence[Any], view: Callable[[Any], Panels], **values: Any) -> Figure | None:
     """A figure with a view for each of the first items; None without any."""
     made = tuple(map(view, items[:MAX_PANELS]))
-    return captioned(kind, made, left_out(len(made), len(items)), **values) if made else None
+    return compose(kind, made, omissions(len(made), len(items)), **values) if made else None
 
 
-def of_rows(
+def row_figure(
     kind: str, x: Axis, y: Axis, marks: Sequence[Mark], words: str = "", more: str = "", rules: Sequence[float] = (),
     **values: Any,
 ) -> Figure:  # fmt: skip
     """A figure of one plot, whose rows have names; ``rules``: places of dotted lines along x."""
-    view = single(x, y, marks, words=words, rules=tuple(("x", place) for place in rules))
-    return captioned(kind, [view], more, **values)
+    view = single_panel(x, y, marks, words=words, rules=tuple(("x", place) for place in rules))
+    return compose(kind, [view], more, **values)

@@ -4,10 +4,10 @@ from .html import figures_to_folder, index_page, report_page
 from .outputs import write_index, write_outputs
 from .side_by_side import compare_runs
 from .verdict import (
-    accepted_words,
+    accepted_text,
     first_screen,
-    gate_fails,
     interval_text,
+    is_failed_gate,
     last_line,
     limits_text,
     number_text,
@@ -15,6 +15,7 @@ from .verdict import (
 )
 
 __all__ = [
-    "accepted_words", "compare_runs", "figures_to_folder", "first_screen", "gate_fails", "index_page", "interval_text",
-    "last_line", "limits_text", "number_text", "report_page", "value_text", "write_index", "write_outputs",
+    "accepted_text", "compare_runs", "figures_to_folder", "first_screen", "index_page", "interval_text",
+    "is_failed_gate", "last_line", "limits_text", "number_text", "report_page", "value_text", "write_index",
+    "write_outputs",
 ]  # fmt: skip

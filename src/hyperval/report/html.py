@@ -20,7 +20,7 @@ import hyperval
 from hyperval.errors import WARNING, refuse
 from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
 from hyperval.figures.rows import campaigns_figure, criteria_figure, outcome_words
-from hyperval.figures.spec import Drawing, Figure, Kind, base64_of, statement
+from hyperval.figures.spec import Drawing, Figure, Kind, figure_json, to_base64
 from hyperval.metrics import Evidence, explained, plain_words, product_words
 from hyperval.products import background_of
 from hyperval.report import verdict as v
@@ -41,16 +41,16 @@ def script(place: tuple[str, ...]) -> bytes:
 
 
 @functools.cache
-def packed_library() -> tuple[str, ...]:
+def library_scripts() -> tuple[str, ...]:
     """The library's scripts as base64 of gzip: 0.6 MB in place of 1.4 leave the figures room."""
-    return tuple(base64_of(gzip.compress(script(place), mtime=0)) for place in LIBRARY)
+    return tuple(to_base64(gzip.compress(script(place), mtime=0)) for place in LIBRARY)
 
 
 @functools.cache
 def page_hashes(figures: bool = True) -> str:
     """The scripts of a page, with figures or without, as sources of its policy: these texts, and no other, may run."""
     places = (*LIBRARY, CHARTS, _EVERY_PAGE) if figures else (_EVERY_PAGE,)
-    return " ".join(f"'sha256-{base64_of(hashlib.sha256(script(place)).digest())}'" for place in places)
+    return " ".join(f"'sha256-{to_base64(hashlib.sha256(script(place)).digest())}'" for place in places)
 
 
 def anchor(row: Result) -> str:
@@ -62,7 +62,7 @@ def anchor(row: Result) -> str:
     return re.sub(r"\W+", "-", f"e-{row.product}-{row.subject}").strip("-")
 
 
-def matrix_of(
+def build_matrix(
     planned: Sequence[Result], line_of: Callable[[Result], str], link_of: Callable[[str, Sequence[Result]], str]
 ) -> dict[str, Sequence[Any]]:
     """Planned rows in lines by ``line_of`` and columns by product.
@@ -79,7 +79,7 @@ def matrix_of(
 
     def rank(item: tuple[str, list[Result]]) -> tuple[bool, int]:
         gates = [row for row in item[1] if row.gates]
-        return not gates, WORST_FIRST.index(v.worst(gates or item[1]))
+        return not gates, WORST_FIRST.index(v.worst_outcome(gates or item[1]))
 
     lines = []
     for name, line in sorted(grouped(planned, line_of).items(), key=rank):
@@ -93,7 +93,7 @@ def _matrices(run: Run, rows: Sequence[Result], *options: Callable[..., str]) ->
     parts = _NUMBERS if run.sentence else _MATRICES
     compared = [row for row in rows if row.planned and row.product not in _REASONS]
     planned = ((title, [r for r in compared if r.evidence in kinds]) for title, kinds in parts)
-    return [(title, matrix_of(some, *options)) for title, some in planned if some]
+    return [(title, build_matrix(some, *options)) for title, some in planned if some]
 
 
 def _cell(rows: Sequence[Result], link: str) -> dict[str, str]:
@@ -103,18 +103,18 @@ def _cell(rows: Sequence[Result], link: str) -> dict[str, str]:
     informational is not; empty where nothing was planned.
     """
     gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
-    outcome = v.worst(gates or rows)
+    outcome = v.worst_outcome(gates or rows)
     letter = outcome.letter if gates else outcome.letter.lower()
     parts = [f"criteria: {outcome_words(gates)}"] if gates else []
     informing = [row for row in rows if not row.gates and row.outcome is not Outcome.ERROR]
-    if gates and outcome is not Outcome.DISAGREES and v.worst(informing) is Outcome.DISAGREES:
+    if gates and outcome is not Outcome.DISAGREES and v.worst_outcome(informing) is Outcome.DISAGREES:
         letter += f" {Outcome.DISAGREES.letter.lower()}"  # what decides does not, something else does
     parts += [f"informational: {outcome_words(informing)}"] if informing else []
     words = "; ".join(parts) or "not planned"
     return {"outcome": outcome, "letter": letter, "words": words, "link": link if rows else ""}
 
 
-def same_background_once(rows: Sequence[Result]) -> list[Result]:
+def merge_backgrounds(rows: Sequence[Result]) -> list[Result]:
     """Rows about the background seen by one filter, which every size of a target has, as one row for all of them.
 
     They are equal but for the subject; the first stands for all, with their number.
@@ -149,8 +149,8 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
 
     def rank(chart: Figure) -> tuple[int, ...]:
         """Products whose gates say worse come before the others; of one rank, by informational comparisons."""
-        planned = _made(rows, chart.section)
-        return tuple(WORST_FIRST.index(v.worst(some)) for some in ([row for row in planned if row.gates], planned))
+        planned = _made_rows(rows, chart.section)
+        return tuple(WORST_FIRST.index(v.worst_outcome(some)) for some in ([r for r in planned if r.gates], planned))
 
     spectra = sorted(first_figures(sides, run.table), key=rank)
     many = many_objects_figure(run.score_maps, sides)
@@ -163,8 +163,8 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     screen = v.first_screen(rows, run.power[0].sentence.partition(". ")[0] + "." if run.power else "")
     forest = criteria_figure(rows) if compares and not run.sentence else None
     worst = _worst_figure(screen.worst, [*spectra, *plots]) if forest and screen.worst else None
-    statements = {one.name: statement(one) for one in (forest, worst, *charts, *folded) if one is not None}
-    shown = same_background_once(rows)
+    statements = {one.name: figure_json(one) for one in (forest, worst, *charts, *folded) if one is not None}
+    shown = merge_backgrounds(rows)
     unmade = (row for row in rows if row.outcome in (Outcome.SKIPPED, Outcome.ERROR))
     undone = grouped(unmade, lambda row: (row.outcome, row.product, row.reason or str(row.cause)))
     # What shows the most comes first: the scene and the first score map.
@@ -180,12 +180,12 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
         matrices=_matrices(run, shown, lambda r: r.subject, _link),
         charts=charts,
         pictures=[d for d in drawings if d.name in PICTURES],
-        embedded=embedded(images, _FIGURE_BYTES - sum(map(len, (*statements.values(), *packed_library())))),
+        embedded=embed_images(images, _FIGURE_BYTES - sum(map(len, (*statements.values(), *library_scripts())))),
         budget=[chart for chart in folded if chart.name == _BUDGET],
         parts=_sections(drawings, folded, shown),
         of_reasons=_REASONS,
         undone={key: list(map(row_name, some)) for key, some in undone.items()},
-        facts=flat({k: v for k, v in run.provenance.items() if k != "inputs"}),
+        facts=flatten({k: v for k, v in run.provenance.items() if k != "inputs"}),
         metrics=explained(row.metric for row in rows if row.planned),
     )  # fmt: skip
 
@@ -233,9 +233,9 @@ def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Va
     groups = []
     for kind, of_kind in sorted(grouped((run for run in runs if not run.remedy), heading).items()):
         together = [row for run in of_kind for row in run.table]
-        matrices = _matrices(of_kind[0], same_background_once(together), lambda r: r.campaign, link)
+        matrices = _matrices(of_kind[0], merge_backgrounds(together), lambda r: r.campaign, link)
         entries = [(run, v.first_screen(list(run.table)), pages[run.campaign]) for run in of_kind]
-        sentence = f"{v.accepted_words(together)} Whether model and collection agree is not asked here."
+        sentence = f"{v.accepted_text(together)} Whether model and collection agree is not asked here."
         groups.append((kind, v.first_screen(together), sentence if of_kind[0].sentence else "", matrices, entries))
     absent = list(grouped(((r, pages[r.campaign]) for r in runs if r.remedy), lambda one: one[0].remedy).items())
     forest = campaigns_figure({run.campaign: list(run.table) for run in runs if not run.sentence})
@@ -281,16 +281,16 @@ def page(template: str, drawn: Iterable[Figure | None] | Mapping[str, str] = (),
 
     ``drawn`` : the figures, or their statements by name, where these are known already
     """
-    statements = drawn if isinstance(drawn, Mapping) else {one.name: statement(one) for one in drawn if one}
+    statements = drawn if isinstance(drawn, Mapping) else {one.name: figure_json(one) for one in drawn if one}
     written = f"{when:%Y-%m-%d %H:%M UTC}" if (when := stated_time()) else None
     return environment().get_template(template).render(
-        **words, statements=statements, library=packed_library() if statements else (),
+        **words, statements=statements, library=library_scripts() if statements else (),
         starter=script(CHARTS).decode() if statements else "", script_hashes=page_hashes(bool(statements)),
         version=hyperval.__version__, generated=written, page_script=script(_EVERY_PAGE).decode(),
     )  # fmt: skip
 
 
-def _made(rows: Sequence[Result], product: str) -> list[Result]:
+def _made_rows(rows: Sequence[Result], product: str) -> list[Result]:
     """Planned rows of a product that were made."""
     return [row for row in rows if row.product == product and row.planned and row.outcome is not Outcome.SKIPPED]
 
@@ -300,7 +300,7 @@ def _sections(drawings: Sequence[Drawing], charts: Sequence[Figure], rows: Seque
     sections = []
     for name in dict.fromkeys([*SECTIONS, *(row.product for row in rows)]):
         own_drawings = [d for d in drawings if d.section == name and d.name not in PICTURES]
-        planned = sorted(_made(rows, name), key=lambda row: (WORST_FIRST.index(row.outcome), row.subject))
+        planned = sorted(_made_rows(rows, name), key=lambda row: (WORST_FIRST.index(row.outcome), row.subject))
         own_charts = [chart for chart in charts if chart.section == name and chart.name != _BUDGET]
         others = [row for row in rows if row.product == name and not row.planned and not row.per_band]
         if own_drawings or own_charts or planned or others:
@@ -309,24 +309,24 @@ def _sections(drawings: Sequence[Drawing], charts: Sequence[Figure], rows: Seque
     return sections
 
 
-def embedded(images: Iterable[tuple[Any, bytes, str]], room: int) -> dict[Any, str]:
+def embed_images(images: Iterable[tuple[Any, bytes, str]], room: int) -> dict[Any, str]:
     """Names of images, their bytes and kinds -> data URI of each, for as many as there is room for."""
     sources: dict[Any, str] = {}
     for name, content, kind in images:
-        source = f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{base64_of(content)}"
+        source = f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{to_base64(content)}"
         if len(source) <= room:
             room -= len(source)
             sources[name] = source
     return sources
 
 
-def flat(value: Any, prefix: str = "") -> dict[str, str]:
+def flatten(value: Any, prefix: str = "") -> dict[str, str]:
     """A record as text by key, nested keys joined by dots; lists of records by their references."""
     if isinstance(value, list | tuple) and any(isinstance(item, Mapping) for item in value):
         names = (item.get("reference", n) if isinstance(item, Mapping) else n for n, item in enumerate(value))
         value = dict(zip(map(str, names), value, strict=True))
     if isinstance(value, Mapping):
-        return {k: text for key, item in value.items() for k, text in flat(item, f"{prefix}.{key}".strip(".")).items()}
+        return {k: t for key, item in value.items() for k, t in flatten(item, f"{prefix}.{key}".strip(".")).items()}
     return {prefix: ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)}
 
 

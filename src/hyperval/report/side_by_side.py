@@ -12,7 +12,7 @@ from typing import Any
 from hyperval.errors import refuse
 from hyperval.figures import first_figures, outcome_words
 from hyperval.report import verdict as v
-from hyperval.report.html import embedded, flat, page
+from hyperval.report.html import embed_images, flatten, page
 from hyperval.results import WORST_FIRST, Cause, Outcome, Pair, Result, ResultTable, paired
 from hyperval.run import Run, to_xarray
 from hyperval.storage import whole_folder
@@ -87,7 +87,7 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
     both = [(y, x) for x, y in zip(a.pair, b.pair, strict=True) if x and y and not to_xarray(x).equals(to_xarray(y))]
     charts = first_figures(both[0], names=("run B", "run A")) if both and (moved or changed) else []
     equal = [n for n, path in a.figures.items() if n in b.figures and path.read_bytes() == b.figures[n].read_bytes()]
-    first, second = flat(a.provenance), flat(b.provenance)
+    first, second = flatten(a.provenance), flatten(b.provenance)
     folders = [(run.folder or Path()).resolve() for run in (a, b)]
     above = os.path.commonpath([folder.parent for folder in folders])
     labels = zip("AB", (a, b), (folder.relative_to(above).as_posix() for folder in folders), strict=True)
@@ -104,17 +104,17 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
         conclusion=conclusion(pairs),
         inputs=[(k, first.get(k, "–"), second.get(k, "–")) for k in first | second if first.get(k) != second.get(k)],
         charts=charts,
-        figures=_figures(a, b, equal),
+        figures=_different_figures(a, b, equal),
         equal=equal,
         number=v.number_text,
     )  # fmt: skip
 
 
-def _figures(a: Run, b: Run, equal: Sequence[str]) -> list[dict[str, Any]]:
+def _different_figures(a: Run, b: Run, equal: Sequence[str]) -> list[dict[str, Any]]:
     """Figures that are not the same in both runs, as data; beyond the size of the page they are named only."""
     names = [name for name in dict.fromkeys([*a.figures, *b.figures]) if name not in equal]
     paths = {(name, run): each.figures.get(name) for name in names for run, each in zip("AB", (a, b), strict=True)}
     files = ((key, path.read_bytes(), path.suffix[1:]) for key, path in paths.items() if path)
-    sources = embedded(files, _FIGURE_BYTES)
+    sources = embed_images(files, _FIGURE_BYTES)
     sides = {key: {"source": sources.get(key, ""), "there": path is not None} for key, path in paths.items()}
     return [{"name": name.rsplit(".", 1)[0], "sides": [sides[name, "A"], sides[name, "B"]]} for name in names]

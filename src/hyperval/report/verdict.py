@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from hyperval.figures.rows import criteria_of, decimals, effect_text, outcome_words, ranked, row_label, short_text
+from hyperval.figures.rows import decimals, effect_text, find_criteria, outcome_words, row_label, short_text, sort_rows
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
 from hyperval.results import EVERY, WORST_FIRST, Cause, Outcome, Result
 
@@ -62,7 +62,7 @@ class FirstScreen(NamedTuple):
 
 def status(gates: Sequence[Result]) -> tuple[Outcome, str, str]:
     """The outcome of criteria and errors together, its word, and the sentence that begins with it."""
-    overall, made = worst(gates), {row.outcome for row in gates}
+    overall, made = worst_outcome(gates), {row.outcome for row in gates}
     if Outcome.DISAGREES in made:
         return Outcome.DISAGREES, "Not met", "Not met."
     if overall is Outcome.ERROR:  # after an error nothing is known
@@ -97,19 +97,19 @@ def first_screen(rows: Sequence[Result], power: str = "") -> FirstScreen:
     model = [row for row in gates if row.evidence is Evidence.MODEL]
     are_told = (Outcome.ERROR, Outcome.DISAGREES, Outcome.UNDECIDED)
     informing = [row for row in rows if not row.gates and row.outcome in are_told]
-    shown = ranked(criteria_of(rows))
+    shown = sort_rows(find_criteria(rows))
     shown = [row for row in shown if row.outcome is not Outcome.SKIPPED] or shown
     first = next((row for row in shown if row.outcome is not Outcome.ERROR), None)  # which has no size
     outcome, head, opening = status([row for row in rows if row.gates or row.outcome is Outcome.ERROR])
-    asides = [power, _never_met(model), _which_to_believe(rows), _unseen(model)]
+    asides = [power, _never_met_text(model), _conflict_text(rows), _unseen_text(model)]
     products = []
     for kind in dict.fromkeys(row.product for row in shown if row.gates):
         some = [row for row in model if row.product == kind]
         counts = Counter(row.outcome for row in some)
         products.append((product_words(kind), [(o, counts[o]) for o in WORST_FIRST if counts[o]], outcome_words(some)))
     reason, ahead = _reason(rows, first.subject if first else "all"), _AHEAD.get(first.outcome, "") if first else ""
-    counted = _counted(gates, Evidence.MODEL), _counted(gates, Evidence.PIPELINE), _counted(informing, None)
-    words = opening, *counted[:2], _never_met(model), counted[2], _which_to_believe(rows)
+    counted = _count_text(gates, Evidence.MODEL), _count_text(gates, Evidence.PIPELINE), _count_text(informing, None)
+    words = opening, *counted[:2], _never_met_text(model), counted[2], _conflict_text(rows)
     return FirstScreen(
         outcome, head, _lead(gates, informing, ahead, first), " ".join(filter(None, words)), list(filter(None, asides)),
         products, first, ahead, reason, _steps(rows, shown, reason),
@@ -119,8 +119,8 @@ def first_screen(rows: Sequence[Result], power: str = "") -> FirstScreen:
 def _lead(gates: Sequence[Result], informing: Sequence[Result], ahead: str, first: Result | None) -> str:
     """ "2 acceptance criteria are not met, 5 are inconclusive, 10 are met. Worst: ..." """
     if not gates:
-        return f"Nothing here can pass or fail. {_counted(informing, None, named=False)}".strip()
-    parts = [_counted(gates, kind, named=False) for kind in Evidence]
+        return f"Nothing here can pass or fail. {_count_text(informing, None, named=False)}".strip()
+    parts = [_count_text(gates, kind, named=False) for kind in Evidence]
     if first is not None and first.gates and ahead:
         parts.append(f"{ahead}: {product_words(first.product)}, {row_label(first)}, {effect_text(first)}.")
     return " ".join(filter(None, parts))
@@ -175,25 +175,25 @@ def _steps(rows: Sequence[Result], shown: Sequence[Result], reason: str) -> list
         )
     not_made = {row.outcome for row in rows if row.gates or row.outcome is Outcome.ERROR}
     steps += [step for outcome, step in _UNMADE.items() if outcome in not_made]
-    if any(map(disagrees_without_gating, rows)):
+    if any(map(informs_of_disagreement, rows)):
         steps.append("Look at the informational comparisons that are not met: they do not change the status.")
     if not criteria and any(row.planned for row in rows):
         steps.append("State acceptance criteria, if this campaign is to pass or fail.")
     return steps[:_MOST_STEPS] or ["Nothing: keep these numbers as accepted."]
 
 
-def _unseen(gates: Sequence[Result]) -> str:
+def _unseen_text(gates: Sequence[Result]) -> str:
     """ "Budget and settings were fitted on lawn, turf; unseen: none yet." """
     by_kind = {kind: [row for row in gates if row.subjects_seen == kind] for kind in ("fitted", "unseen")}
     if not any(by_kind.values()):
         return ""
     names = list(dict.fromkeys(row.subject for row in by_kind["fitted"] if row.subject not in EVERY))
     names[_MOST_NAMED:] = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
-    unseen = f"{outcome_words(by_kind['unseen'])} ({_named(by_kind['unseen'])})" if by_kind["unseen"] else "none yet"
+    unseen = f"{outcome_words(by_kind['unseen'])} ({_names(by_kind['unseen'])})" if by_kind["unseen"] else "none yet"
     return f"Budget and settings were fitted on {', '.join(names) or 'others'}; unseen: {unseen}."
 
 
-def _never_met(gates: Sequence[Result]) -> str:
+def _never_met_text(gates: Sequence[Result]) -> str:
     """ "15 of the inconclusive criteria can never be met: what is known is 1.1 to 4.2 times too uncertain." """
     if not (never := [row for row in gates if row.never_met]):
         return ""
@@ -204,18 +204,18 @@ def _never_met(gates: Sequence[Result]) -> str:
     return f"{words}: what is known is {ends} times too uncertain." if ends else f"{words}."
 
 
-def _which_to_believe(rows: Sequence[Result]) -> str:
+def _conflict_text(rows: Sequence[Result]) -> str:
     """What criteria that are met mean beside tests of the stated uncertainty that are not.
 
     >>> failed = {"outcome": Outcome.DISAGREES}
     >>> wide = Result("", "radiance", "lawn", "", "p_value_full", 0.9999, cause=Cause.TOO_WIDE, **failed)
     >>> off = Result("", "radiance", "lawn", "", "bias_ratio", 0.06, **failed)
-    >>> [_which_to_believe(rows)[:15] for rows in ([wide], [wide, off])]
+    >>> [_conflict_text(rows)[:15] for rows in ([wide], [wide, off])]
     ['Budget too wide', '']
     >>> from hyperval.results import Role
     >>> met = Result("", "radiance", "lot", "", "bias_ratio", 0.0, role=Role.GATE, outcome=Outcome.AGREES)
     >>> noise = Result("", "snr", "panel", "", "p_value_full", 1e-9, effect=2.9, **failed)
-    >>> _which_to_believe([wide, met, noise])[:113]
+    >>> _conflict_text([wide, met, noise])[:113]
     'The stated uncertainty is too small (differences reach 2.9 times it; signal-to-noise ratio within its budget: pan'
     """
     tests = [row for row in rows if row.outcome is Outcome.DISAGREES and tests_the_uncertainty(row)]
@@ -229,7 +229,7 @@ def _which_to_believe(rows: Sequence[Result]) -> str:
         sizes = (math.sqrt(row.value) if row.product == "attribution" else row.effect for row in narrow)
         times = max(filter(math.isfinite, sizes), default=math.nan)
         far = f"differences reach {number_text(times, times)} times it" if times > 1 else "full tests reject it"
-        far += f"; {_named(narrow)}" * bool(wide)  # too small for one subject, too wide for another
+        far += f"; {_names(narrow)}" * bool(wide)  # too small for one subject, too wide for another
         words.append(f"The stated uncertainty is too small ({far}): do not take it for the error of the model.")
         if any(not tests_the_uncertainty(row) for row in met):
             words.append("The criteria that are met say how large the differences are, not that they are explained.")
@@ -237,7 +237,7 @@ def _which_to_believe(rows: Sequence[Result]) -> str:
             words.append("A test of one subject that is met has too little power to contradict them.")
     if wide:
         words.append(
-            f"Budget too wide: the stated uncertainty is far larger than the differences ({_named(wide)}); a test "
+            f"Budget too wide: the stated uncertainty is far larger than the differences ({_names(wide)}); a test "
             "that is met there says little, and inconclusive criteria may be decided by a budget that fits."
         )
     return " ".join(words)
@@ -248,34 +248,34 @@ def tests_the_uncertainty(row: Result) -> bool:
     return row.product == "attribution" or metric_of(row.metric).two_sided
 
 
-def _counted(rows: Sequence[Result], kind: Evidence | None, *, named: bool = True) -> str:
+def _count_text(rows: Sequence[Result], kind: Evidence | None, *, named: bool = True) -> str:
     """ "1 acceptance criterion is not met (mean level of the radiance: lawn), 12 are met (12 of radiance)." """
     parts: list[str] = []
     for outcome in WORST_FIRST:
         counted = [row for row in rows if kind in (None, row.evidence) and row.outcome is outcome]
         if counted:
             noun = f" {_KINDS[kind][len(counted) != 1]}" if not parts else ""
-            names = f" ({_named(counted)})" if named else ""
+            names = f" ({_names(counted)})" if named else ""
             parts.append(f"{len(counted)}{noun} {outcome.of_one if len(counted) == 1 else outcome.of_several}{names}")
     return f"{', '.join(parts)}." if parts else ""
 
 
-def worst(rows: Iterable[Result]) -> Outcome:
+def worst_outcome(rows: Iterable[Result]) -> Outcome:
     """The outcome that counts for several rows together; ``none`` without any."""
     return min((row.outcome for row in rows), key=WORST_FIRST.index, default=Outcome.NONE)
 
 
-def gate_fails(row: Result) -> bool:
+def is_failed_gate(row: Result) -> bool:
     """True for a gate that disagrees, and for any error."""
     return row.outcome is Outcome.ERROR or (row.gates and row.outcome is Outcome.DISAGREES)
 
 
-def disagrees_without_gating(row: Result) -> bool:
+def informs_of_disagreement(row: Result) -> bool:
     """True for a row that informs, and found a disagreement."""
     return not row.gates and row.outcome is Outcome.DISAGREES
 
 
-def accepted_words(rows: Iterable[Result]) -> str:
+def accepted_text(rows: Iterable[Result]) -> str:
     """How many numbers are as they were accepted, and how many are not; nothing of what the model agrees with."""
     counts = Counter(row.outcome for row in rows)
     wrong, total = counts[Outcome.DISAGREES], counts[Outcome.DISAGREES] + counts[Outcome.AGREES]
@@ -331,7 +331,7 @@ def limits_text(row: Result) -> str:
     return f"{low} to {high}" if low and high else f"≥ {low}" if low else f"≤ {high}" if high else ""
 
 
-def _named(rows: Sequence[Result]) -> str:
+def _names(rows: Sequence[Result]) -> str:
     """What rows are about and their subjects, "shape of the radiance: lawn, turf"; many are counted."""
     several = len({row.campaign for row in rows}) > 1
     groups: dict[str, dict[str, None]] = {}

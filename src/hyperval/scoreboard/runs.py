@@ -23,7 +23,7 @@ import numpy as np
 import spectral
 from scipy import special, stats
 
-from hyperval.campaign import Campaign, Job, collected, command_without_output, jobs_of, record_of
+from hyperval.campaign import Campaign, Job, command_without_output, load_jobs, observe_campaign, record_of
 from hyperval.collection import Detection
 from hyperval.compare import EVERY_OBJECT, named, product_rows, row, skipped
 from hyperval.data import Array, Counts, Index
@@ -31,7 +31,7 @@ from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, MissingDataError, UsageError, refusal, refuse, words_and_code
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.figures import Axis, ColourScale, Figure, Mark, Panels, Part
-from hyperval.figures.spec import a_view_each, captioned, columns_of, measured_mark, single
+from hyperval.figures.spec import compose, figure_of_views, measured_mark, single_panel, to_columns
 from hyperval.imagery import ImageGrid, TargetObject, raster_of_size
 from hyperval.model import AREAS, clopper_pearson, predict
 from hyperval.observe import Observed, Place, map_name, open_place, scored_part, target_groups
@@ -128,7 +128,7 @@ class Measure:
     least_pfa: float = math.inf
 
 
-def detected_at(pfa: float) -> Callable[[Array, Array], Array]:
+def is_detected(pfa: float) -> Callable[[Array, Array], Array]:
     """1 where the object lies above the threshold that lets at most ``pfa`` of the background through."""
     return lambda over, tie: np.asarray(over + tie <= pfa * (1.0 + 1e-9), dtype=float)
 
@@ -138,8 +138,8 @@ MEASURES: Mapping[str, Measure] = {
     for m in (
         Measure("auc", "AUC", AREAS["auc"].averaged),
         Measure(LOG_AREA, "log-weighted AUC, P_FA 1e-3 to 1e-1", AREAS[LOG_AREA].averaged, 1e-3),
-        Measure("pd@1e-2", "P_D at P_FA 1e-2", detected_at(1e-2), 1e-2),
-        Measure("pd@1e-3", "P_D at P_FA 1e-3", detected_at(1e-3), 1e-3),
+        Measure("pd@1e-2", "P_D at P_FA 1e-2", is_detected(1e-2), 1e-2),
+        Measure("pd@1e-3", "P_D at P_FA 1e-3", is_detected(1e-3), 1e-3),
         Measure("far@pd0.5", "false alarms per km2 at P_D 0.5", None),
     )
 }
@@ -166,7 +166,7 @@ def pfa_at_detection(over: Array, tie: Array, weight: Array) -> Array:
     return np.asarray(np.take_along_axis(np.take_along_axis(s, order, axis=0), reached[None], axis=0)[0])
 
 
-def measured(measure: Measure, over: Array, tie: Array, weight: Array) -> Array:
+def draw_metric(measure: Measure, over: Array, tie: Array, weight: Array) -> Array:
     """(D, R) the metric in draws of looks and background; of false alarms the P_FA, not yet per km2."""
     if measure.of_look is None:
         return pfa_at_detection(over, tie, weight)
@@ -255,7 +255,7 @@ def rank_sets(values: Array, draws: Array, objects: int) -> tuple[Counts, Counts
     return low + np.sum(gap > limit, axis=1), high - np.sum(-gap > limit, axis=1)
 
 
-def ranked(
+def rank_detectors(
     counts: BlockCounts, looks: list[int], measure: Measure, *, draws: int, rng: np.random.Generator
 ) -> RankedDetectors:
     """Detectors on the objects of some looks: objects and blocks of the background drawn anew, for all at once.
@@ -266,7 +266,7 @@ def ranked(
     --------
     >>> over = np.tile(np.array([[[0], [30]]]), (9, 1, 1))  # 9 objects, 2 detectors, 1 block of background
     >>> counts = BlockCounts(("a", "b"), over, 0 * over, np.array([100]), np.arange(9), {})
-    >>> r = ranked(counts, list(range(9)), MEASURES["auc"], draws=50, rng=np.random.default_rng(0))
+    >>> r = rank_detectors(counts, list(range(9)), MEASURES["auc"], draws=50, rng=np.random.default_rng(0))
     >>> r.rank, r.first
     (array([1, 2]), array([1., 0.]))
     """
@@ -277,8 +277,8 @@ def ranked(
     cells, names = np.ix_(np.array(looks), one_of), tuple(counts.detectors[d] for d in one_of)
     part = replace(counts, detectors=names, over=counts.over[cells], tie=counts.tie[cells], item=item)
     shares = part.shares(np.ones((part.pixels.size, 1)))
-    value = measured(measure, *shares, np.ones((len(looks), 1)))[:, 0]
-    both, exchanged = _drawn(part, measure, m, draws, rng)
+    value = draw_metric(measure, *shares, np.ones((len(looks), 1)))[:, 0]
+    both, exchanged = _resample(part, measure, m, draws, rng)
     best, drawn = goodness(measure, value, n), goodness(measure, both, n)
     enough = m >= fewest_objects(value.size)
     low, high = rank_sets(best, drawn, m) if enough else (np.ones(value.size, int), np.full(value.size, value.size))
@@ -295,7 +295,7 @@ def ranked(
     )  # fmt: skip
 
 
-def _drawn(part: BlockCounts, measure: Measure, objects: int, draws: int, rng: np.random.Generator) -> Array:
+def _resample(part: BlockCounts, measure: Measure, objects: int, draws: int, rng: np.random.Generator) -> Array:
     """(2, D, R) the metric with objects and blocks drawn anew, and with blocks alone."""
     blocks, looks = part.pixels.size, part.item.size
     step = max(1, _CHUNK_VALUES // (looks * len(part.detectors)))
@@ -305,7 +305,7 @@ def _drawn(part: BlockCounts, measure: Measure, objects: int, draws: int, rng: n
         weights = rng.multinomial(blocks, np.full(blocks, 1.0 / blocks), size=size).T.astype(float)
         taken = rng.multinomial(objects, np.full(objects, 1.0 / objects), size=size).T[part.item].astype(float)
         shares = part.shares(weights)
-        drawn.append((measured(measure, *shares, taken), measured(measure, *shares, np.ones_like(taken))))
+        drawn.append((draw_metric(measure, *shares, taken), draw_metric(measure, *shares, np.ones_like(taken))))
     return np.concatenate(drawn, axis=2)
 
 
@@ -437,7 +437,7 @@ def detector_rows(
             continue  # no object orders detectors, and one by chance alone
         for measure in MEASURES.values():
             if counts.n * measure.least_pfa >= LEAST_EXPECTED_ALARMS:
-                ranks = ranked(counts, list(columns), measure, draws=DRAWS, rng=np.random.default_rng(seed))
+                ranks = rank_detectors(counts, list(columns), measure, draws=DRAWS, rng=np.random.default_rng(seed))
                 rows += rank_rows(name, counts, measure, ranks)
     for name, reason in left_out.items():
         rows += named(skipped(Cause.REFUSED, reason, "rank"), PRODUCT, EVERY_OBJECT, f"{name}/object")
@@ -562,7 +562,7 @@ def load_extensions(paths: Iterable[Path]) -> None:
 
 
 @dataclass(frozen=True)
-class Benchmarked(Run):
+class BenchmarkRun(Run):
     """The run of one campaign with all detectors.
 
     Attributes
@@ -592,27 +592,27 @@ class Benchmarked(Run):
         each = list(values.values())
         return [tuple(n for n in values if values[n] == held) for i, held in enumerate(each) if held not in each[:i]]
 
-    def standing(self, group: tuple[str, ...], metric: str, subject: str = EVERY_OBJECT) -> list[Result | None]:
+    def group_rows(self, group: tuple[str, ...], metric: str, subject: str = EVERY_OBJECT) -> list[Result | None]:
         """Value, rank and share of first places of a group by a metric."""
         return [self.values.get((subject, f"{group[0]}/object", f"{part}{metric}")) for part in ("", "rank_", "first_")]
 
     def ranks(self, metric: str) -> list[tuple[str, Result]]:
         """The names of each group and its rank by a metric on all objects, of those that have one."""
-        standings = ((" = ".join(group), self.standing(group, metric)[1]) for group in self.groups)
+        standings = ((" = ".join(group), self.group_rows(group, metric)[1]) for group in self.groups)
         return [(names, rank) for names, rank in standings if rank is not None]
 
 
-def benchmark_campaign(job: Job, *, seed: int, extensions: Sequence[Path], scores: Mapping[str, str]) -> Benchmarked:
+def benchmark_campaign(job: Job, *, seed: int, extensions: Sequence[Path], scores: Mapping[str, str]) -> BenchmarkRun:
     """Every row of one campaign; what stops it becomes its one row, SKIPPED or ERROR."""
-    if job.waits is not None:
-        return _stopped(job, Outcome.SKIPPED, job.waits[0])
+    if job.unavailable is not None:
+        return _failed_benchmark(job, Outcome.SKIPPED, job.unavailable[0])
     detection, refused = job.campaign.detection, dict[str, str]()
     try:
         load_extensions(extensions)
         with _score_maps(job.campaign.name, scores):
             while True:  # a detector that this collection cannot take does not take the others with it
                 try:
-                    return _with(job, seed, refused)
+                    return _benchmark_run(job, seed, refused)
                 except detect.AddedDetectorError as error:
                     refused[error.detector] = str(error)
                 except UsageError as error:
@@ -622,16 +622,16 @@ def benchmark_campaign(job: Job, *, seed: int, extensions: Sequence[Path], score
                         raise
                     refused |= dict.fromkeys(others, f"not run, as one of the detectors was refused: {error}")
     except MissingDataError as error:
-        return _stopped(job, Outcome.SKIPPED, str(error))
+        return _failed_benchmark(job, Outcome.SKIPPED, str(error))
     except Exception as error:  # one broken campaign must not hide what the others say
-        return _stopped(job, Outcome.ERROR, *words_and_code(error))
+        return _failed_benchmark(job, Outcome.ERROR, *words_and_code(error))
 
 
 @contextmanager
 def _score_maps(campaign: str, scores: Mapping[str, str]) -> Iterator[None]:
     """Score maps that were made elsewhere are detectors of this campaign."""
 
-    def made(file: str, target: Any, mean: Any, covariance: Any, undesired: Any) -> detect.PixelDetector:
+    def detector(file: str, target: Any, mean: Any, covariance: Any, undesired: Any) -> detect.PixelDetector:
         path = Path(file.replace("{campaign}", campaign))
 
         def image(values: Any, scene: Any) -> Any:
@@ -643,18 +643,18 @@ def _score_maps(campaign: str, scores: Mapping[str, str]) -> Iterator[None]:
     before = dict(detect.ADDED_DETECTORS)
     try:
         for name, file in scores.items():
-            detect.register_detector(name, partial(made, file))
+            detect.register_detector(name, partial(detector, file))
         yield
     finally:
         detect.ADDED_DETECTORS.clear()
         detect.ADDED_DETECTORS.update(before)
 
 
-def _with(job: Job, seed: int, refused: Mapping[str, str]) -> Benchmarked:
+def _benchmark_run(job: Job, seed: int, refused: Mapping[str, str]) -> BenchmarkRun:
     """The rows with every detector that was not ``refused``."""
     left_out, remarks = dict[str, str](), list[str]()
 
-    def ask(scenarios: Sequence[Scenario], inputs: InputLog) -> Campaign:
+    def choose_campaign(scenarios: Sequence[Scenario], inputs: InputLog) -> Campaign:
         regions: list[str] = []
         if job.campaign.detection is not None and not job.campaign.detection.undesired:
             place = open_place(job.campaign.collection, inputs.resolve)
@@ -666,7 +666,7 @@ def _with(job: Job, seed: int, refused: Mapping[str, str]) -> Benchmarked:
         remarks.extend(notes)
         return asked
 
-    with step(job.campaign.name, 1, 1, "benchmark"), collected(job, question=ask) as collection:
+    with step(job.campaign.name, 1, 1, "benchmark"), observe_campaign(job, question=choose_campaign) as collection:
         observed, detection = collection.observed, collection.campaign.detection
         rows, lost = detector_rows(observed, detection, left_out, seed=seed)
         rows, notes = [*rows, *peer_rows(observed, detection)], [*remarks, *lost]
@@ -677,19 +677,19 @@ def _with(job: Job, seed: int, refused: Mapping[str, str]) -> Benchmarked:
         if detection is not None and detection.halo_pixels:
             notes += ["ranks count the pixels of an object alone; the values by subject count the campaign's halo too"]
         notes = list(dict.fromkeys([*notes, *observed.observation.notes]))
-    return _benchmarked(job.campaign, rows, record, notes=notes)
+    return _build_benchmark(job.campaign, rows, record, notes=notes)
 
 
-def _benchmarked(campaign: Any, rows: Iterable[Result], record: Mapping[str, Any], **more: Any) -> Benchmarked:
+def _build_benchmark(campaign: Any, rows: Iterable[Result], record: Mapping[str, Any], **more: Any) -> BenchmarkRun:
     more |= {"campaign": campaign.name, "title": campaign.title, "simulated": bool(campaign.simulated)}
-    return Benchmarked(ResultTable(of_campaign(rows, campaign.name)), record, **more)
+    return BenchmarkRun(ResultTable(of_campaign(rows, campaign.name)), record, **more)
 
 
-def _stopped(job: Job, outcome: Outcome, reason: str, code: int | None = None) -> Benchmarked:
+def _failed_benchmark(job: Job, outcome: Outcome, reason: str, code: int | None = None) -> BenchmarkRun:
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.BROKEN
     row = Result("", PRODUCT, EVERY_OBJECT, "all", "benchmark", outcome=outcome, cause=cause, reason=reason)
     record = record_of(InputLog.of_file(job.path), [], None, {"campaign": job.outline}, [])
-    return _benchmarked(job.outline, [row], record, exit_code=code)
+    return _build_benchmark(job.outline, [row], record, exit_code=code)
 
 
 def benchmark(
@@ -721,7 +721,7 @@ def benchmark(
     from hyperval.figures.print import drawings_of
 
     load_extensions(extensions)
-    jobs, programs = jobs_of(*paths, compares=False), tuple(Path(p).resolve() for p in extensions)
+    jobs, programs = load_jobs(*paths, compares=False), tuple(Path(p).resolve() for p in extensions)
     inputs = [*(one.path for job in jobs for one in job.files), *map(Path, scores.values())]
     with whole_folder(output, beside=inputs) as folder, workers(worker_count(len(jobs)), scheduler) as where:
         one_process = where.executor is None  # one after the other, each with its own bars
@@ -741,12 +741,12 @@ _MOST_SUBJECTS = 30
 _RANK_METRICS = ("log_auc@1e-3..1e-1", "auc")
 
 
-def detector_figure(one: Benchmarked) -> Figure | None:
+def detector_figure(one: BenchmarkRun) -> Figure | None:
     """A view for each metric on all objects: value, interval, rank with its set."""
     detectors = Axis.named([" = ".join(g) for g in one.groups])
 
     def view(metric: str) -> Panels:
-        standings = [one.standing(group, metric) for group in one.groups]
+        standings = [one.group_rows(group, metric) for group in one.groups]
         ranked = {i: (row, rank) for i, (row, rank, _) in enumerate(standings) if row is not None and rank is not None}
         notes = {i: _rank_text(rank) for i, (_, rank) in ranked.items()}
         # Densities of false alarms are drawn on a logarithmic axis, where none stands at its left end.
@@ -754,9 +754,9 @@ def detector_figure(one: Benchmarked) -> Figure | None:
         positive = [v for row, _ in ranked.values() for v in (row.value, row.upper) if math.isfinite(v) and v > 0]
         floor = 0.5 * min(positive, default=1.0) if far else -math.inf
         rows = [(*np.maximum((row.value, row.lower, row.upper), floor), i) for i, (row, _) in ranked.items()]
-        dots = measured_mark("dots", columns_of(rows, ("x", "low", "high", "y")), marker="circle", along="x")
+        dots = measured_mark("dots", to_columns(rows, ("x", "low", "high", "y")), marker="circle", along="x")
         styles: dict[Any, Any] = {True: {"label": "may be first"}, False: {"label": "is not first", "hollow": True}}
-        marks = dots.by_kind([rank.lower <= 1 for _, rank in ranked.values()], styles)
+        marks = dots.split([rank.lower <= 1 for _, rank in ranked.values()], styles)
         none = far and any(row.value == 0.0 for row, _ in ranked.values())
         name = MEASURES[metric].title + (" (none: at the left end)" if none else "")
         texts = [f"{'/'.join(one.groups[i])} {row.value:.3g}, rank {notes[i]}" for i, (row, _) in ranked.items()]
@@ -764,10 +764,10 @@ def detector_figure(one: Benchmarked) -> Figure | None:
         return Panels(Axis("value", "log" if far else "linear"), (part,), name, words="; ".join(texts))
 
     name = f"{one.campaign}-detectors"
-    return a_view_each("detectors", one.measures, view, name=name, campaign=one.campaign)
+    return figure_of_views("detectors", one.measures, view, name=name, campaign=one.campaign)
 
 
-def rank_figure(one: Benchmarked) -> Figure | None:
+def rank_figure(one: BenchmarkRun) -> Figure | None:
     """Ranks by subject, as a map: dark where the detector leads, with the set of ranks that are not refuted."""
     metric = next((m for m in _RANK_METRICS if any(name == f"rank_{m}" for *_, name in one.values)), "")
     every = list(dict.fromkeys(subject for subject, _, name in one.values if name == f"rank_{metric}"))
@@ -785,27 +785,27 @@ def _rank_text(rank: Result) -> str:
 
 
 def _rank_map(
-    kind: str, rows: Mapping[str, tuple[Benchmarked, str]], groups: Sequence[tuple[str, ...]], metric: str,
+    kind: str, rows: Mapping[str, tuple[BenchmarkRun, str]], groups: Sequence[tuple[str, ...]], metric: str,
     more: str = "", **about: str,
 ) -> Figure:  # fmt: skip
     """A cell for each row, of a subject of a campaign, and group of detectors that order alike: dark where it leads."""
     cells, words, captions = [], [], []
     for (i, (label, (one, subject))), (j, group) in product(enumerate(rows.items()), enumerate(groups)):
-        if (row := one.standing(group, metric, subject)[1]) is not None:
+        if (row := one.group_rows(group, metric, subject)[1]) is not None:
             cells.append((j - 0.5, j + 0.5, i - 0.5, i + 0.5, row.value))
             words.append(_rank_text(row))
             captions.append(f"{label}, {'/'.join(group)}: {words[-1]}")
-    columns = columns_of(cells, ("left", "right", "bottom", "top", "value"))
+    columns = to_columns(cells, ("left", "right", "bottom", "top", "value"))
     scale = ColourScale("falling", 1.0, max(float(columns["value"].max()), 2.0))
     mark = Mark("cells", columns, words=tuple(words), beside="centre", scale=scale)
     x, y = Axis.named([" = ".join(group) for group in groups]), Axis.named(list(rows))
-    view = single(x, y, [mark], words="; ".join(captions))
+    view = single_panel(x, y, [mark], words="; ".join(captions))
     title = MEASURES[metric].title
-    figure = captioned(kind, [view], more, metric=title, short=title.partition(",")[0], **about)
+    figure = compose(kind, [view], more, metric=title, short=title.partition(",")[0], **about)
     return replace(figure, width_in=2.6 + 1.35 * len(groups))
 
 
-def overview_figure(done: Sequence[Benchmarked]) -> Figure | None:
+def overview_figure(done: Sequence[BenchmarkRun]) -> Figure | None:
     """Rank of every detector on all objects of every collection, as a map; one collection needs none."""
     metric = _RANK_METRICS[1]
     shown = {one.campaign: (one, EVERY_OBJECT) for one in done if metric in one.measures}
@@ -815,7 +815,7 @@ def overview_figure(done: Sequence[Benchmarked]) -> Figure | None:
     return _rank_map("overview", shown, [(name,) for name in every], metric)
 
 
-def predicted_figure(one: Benchmarked) -> Figure | None:
+def predicted_figure(one: BenchmarkRun) -> Figure | None:
     """Measured over predicted area and P_D, a point for each subject and detector, a view for each metric."""
     names = [name for name in MEASURES if not name.startswith("far")]
     pairs = {name: [(key, one.values[*key[:2], name], row) for key, row in one.values.items()
@@ -827,21 +827,21 @@ def predicted_figure(one: Benchmarked) -> Figure | None:
             f"{s}, {method}: measured {m.value:.2f}, predicted {p.value:.2f}" for (s, method, _), m, p in pairs[metric]
         )
         diagonal = Mark("line", {"x": np.array([0.0, 1.0]), "y": np.array([0.0, 1.0])}, "as predicted", dash="dotted")
-        dots = measured_mark("dots", columns_of(numbers), marker="circle", words=labels)
+        dots = measured_mark("dots", to_columns(numbers), marker="circle", words=labels)
         x, y = (Axis(side, ends=(-0.02, 1.02)) for side in ("predicted", "measured"))
-        return single(x, y, (diagonal, dots), MEASURES[metric].title)
+        return single_panel(x, y, (diagonal, dots), MEASURES[metric].title)
 
     paired = [name for name in names if pairs[name]]
-    return a_view_each("predicted", paired, view, name=f"{one.campaign}-predicted", campaign=one.campaign)
+    return figure_of_views("predicted", paired, view, name=f"{one.campaign}-predicted", campaign=one.campaign)
 
 
-def benchmark_figures(done: Sequence[Benchmarked]) -> list[Figure]:
+def benchmark_figures(done: Sequence[BenchmarkRun]) -> list[Figure]:
     """The figures of the page."""
     made = [make(one) for one in done for make in (detector_figure, rank_figure, predicted_figure)]
     return [figure for figure in (*made, overview_figure(done)) if figure is not None]
 
 
-def benchmark_page(done: Sequence[Benchmarked], figures: Sequence[Figure]) -> str:
+def benchmark_page(done: Sequence[BenchmarkRun], figures: Sequence[Figure]) -> str:
     """The page."""
     return page(
         "benchmark.html.j2", figures, figures=figures, all=len(done), count=sum(len(d.table) for d in done),

@@ -7,7 +7,7 @@ from .suite import (
     applied_moments,
     check_sensor,
     electrons_from_energy,
-    movable,
+    movable_numbers,
     neighbour_ratio,
     numbers,
     scene_radiance,
@@ -15,7 +15,6 @@ from .suite import (
 )
 
 __all__ = [
-    "SensorCheck", "SensorNumber", "applied_moments", "check_sensor", "check_to_folder",
-    "electrons_from_energy", "movable", "neighbour_ratio", "numbers", "scene_radiance", "sunlit_radiance",
-    "write_check",
+    "SensorCheck", "SensorNumber", "applied_moments", "check_sensor", "check_to_folder", "electrons_from_energy",
+    "movable_numbers", "neighbour_ratio", "numbers", "scene_radiance", "sunlit_radiance", "write_check",
 ]  # fmt: skip

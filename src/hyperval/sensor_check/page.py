@@ -16,8 +16,8 @@ from hyperval.data import Array
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
 from hyperval.figures import drawings_of, outcome_words
-from hyperval.figures.catalogue import budget_figure, roc_figure, wavelengths
-from hyperval.figures.spec import SOURCES, Axis, Figure, Mark, Panels, Part, of_rows, robust_limits, single
+from hyperval.figures.catalogue import budget_figure, roc_figure, wavelength_axis
+from hyperval.figures.spec import SOURCES, Axis, Figure, Mark, Panels, Part, robust_limits, row_figure, single_panel
 from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.report import verdict as v
 from hyperval.report.html import page
@@ -51,7 +51,7 @@ def _responses(check: SensorCheck) -> Iterator[Figure]:
         columns = {"x": 0.5 * (axis.centre_nm[:-1] + axis.centre_nm[1:]), "y": spacing}
         marks.append(Mark("line", columns, "spacing", narrow, "dashed"))
         ratio = f"; the median width is {np.median(neighbour_ratio(axis)):.2f} spacings"
-    view = single(wavelengths(axis), Axis("width, spacing [nm]"), marks, words=f"{len(axis)} bands{ratio}")
+    view = single_panel(wavelength_axis(axis), Axis("width, spacing [nm]"), marks, words=f"{len(axis)} bands{ratio}")
     yield Figure("response", "response", "Width and spacing of the bands", (view,))
 
 
@@ -69,7 +69,7 @@ def _snr(check: SensorCheck) -> Iterator[Figure]:
     title = "Signal-to-noise ratio, sun at 45° and no atmosphere (dashed: with the calibration error C_R)"
     words = f"at 0.25 without it: median {np.median(middle):.0f}, {middle.min():.0f} to {middle.max():.0f}"
     y = Axis("signal-to-noise ratio", ends=robust_limits(highest))
-    yield Figure("snr", "snr", title, (single(wavelengths(axis), y, marks, words=words),))
+    yield Figure("snr", "snr", title, (single_panel(wavelength_axis(axis), y, marks, words=words),))
 
 
 def _noise(check: SensorCheck) -> Iterator[Figure]:
@@ -97,7 +97,7 @@ def _saturation(check: SensorCheck) -> Iterator[Figure]:
     highest = max(1.0, float(np.max(parts)))
     title = "Signal as a part of full scale, sun at 45° and no atmosphere (dotted: full scale)"
     y, words = Axis("part of full scale", ends=(0.0, 1.08 * highest)), f"the highest is {np.max(parts):.2f}"
-    view = single(wavelengths(check.axis), y, marks, words=words, rules=(("y", 1.0),))
+    view = single_panel(wavelength_axis(check.axis), y, marks, words=words, rules=(("y", 1.0),))
     yield Figure("saturation", "saturation", title, (view,))
 
 
@@ -131,12 +131,12 @@ def _published(check: SensorCheck) -> Iterator[Figure]:
     kinds = [point.item.says if point.judged else "unstated" for point in points]
     columns = {"x": np.array([p.computed / p.published for p in points]), "y": np.arange(len(points), dtype=float)}
     words = tuple(f"{p.computed:.0f} / {p.published:g}" for p in points)
-    marks = Mark("dots", columns, words=words, beside="right").by_kind(kinds, styles)
+    marks = Mark("dots", columns, words=words, beside="right").split(kinds, styles)
     names = [f"{p.wavelength_nm:g} nm" for p in points]
     rules, finite = (1.0 - TOLERANCE, 1.0, 1.0 + TOLERANCE), columns["x"][np.isfinite(columns["x"])]
     x = Axis("computed / published", ends=(0.9 * min(*rules, *finite), 1.15 * max(*rules, *finite)))
     listed = "; ".join(f"{name} {p.computed:.0f} to {p.published:g}" for name, p in zip(names, points, strict=True))
-    yield of_rows("published-snr", x, Axis.named(names), marks, listed, rules=rules, percent=100 * TOLERANCE)
+    yield row_figure("published-snr", x, Axis.named(names), marks, listed, rules=rules, percent=100 * TOLERANCE)
 
 
 def _detection(check: SensorCheck) -> Iterator[Figure]:
@@ -177,7 +177,7 @@ _FOLDED = 12  # rows of a section that are not folded
 def datasheet_page(check: SensorCheck, figures: Sequence[Figure], provenance: dict[str, Any]) -> str:
     """The page of one sensor."""
     rows, axis = list(check.table), None
-    failed, expected = ([r for r in rows if fails(r)] for fails in (v.gate_fails, v.disagrees_without_gating))
+    failed, expected = ([r for r in rows if fails(r)] for fails in (v.is_failed_gate, v.informs_of_disagreement))
     with suppress(UsageError):  # the checks say what is wrong with it
         axis = check.axis
     return page(

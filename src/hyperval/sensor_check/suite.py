@@ -67,7 +67,7 @@ class SensorNumber:
     source: str
 
     @property
-    def assumed(self) -> bool:
+    def is_assumed(self) -> bool:
         """True when the source says that all or part of it is an assumption."""
         return "assumed" in self.source.lower()
 
@@ -99,19 +99,19 @@ def _numbers(data: dict[str, Any], stated: dict[str, Any], prefix: str, source: 
             unit = next((unit for end, unit in _ENDINGS.items() if place.endswith(end)), "")
             origin = data.get(f"{name}_source", "not stated" if name == "bits" else source)
             origin = origin if name in stated else "assumed: the file does not state it"
-            yield SensorNumber(place, _shown(value), unit, origin)
+            yield SensorNumber(place, _value_text(value), unit, origin)
 
 
-def _shown(value: Any) -> str:
+def _value_text(value: Any) -> str:
     if isinstance(value, list) and len(value) > 8:
-        return f"{len(value)} rows: {_shown(value[0])} to {_shown(value[-1])}"
+        return f"{len(value)} rows: {_value_text(value[0])} to {_value_text(value[-1])}"
     if isinstance(value, list):
-        listed = ", ".join(map(_shown, value))
+        listed = ", ".join(map(_value_text, value))
         return listed if isinstance(value[0], list) else f"({listed})"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def movable(specification: SensorSpecification) -> dict[str, str]:
+def movable_numbers(specification: SensorSpecification) -> dict[str, str]:
     """Names of the numbers that factors move (:class:`hyperval.sensor.Sensor`), and their sources."""
     numbers: dict[str, Any] = {f"{arm.name}.{key}": value for arm in specification.arms for key, value in arm}
     numbers |= {"bands.fwhm": specification.bands, "calibration_error_percent": specification.calibration_error_percent}
@@ -331,7 +331,7 @@ class SensorCheck:
     @cached_property
     def swings(self) -> list[Swing]:
         """Each assumed number lowered and raised by the part ``vary``, largest change of the SNR first."""
-        named, swings = movable(self.sensor.specification), []
+        named, swings = movable_numbers(self.sensor.specification), []
         assumed = [(name, origin) for name, origin in named.items() if "assumed" in origin.lower()]
         for name, source in track(assumed, "assumed numbers"):
             changes = (self._changes({name: factor}) for factor in (1.0 - self.vary, 1.0 + self.vary))
@@ -350,7 +350,7 @@ class SensorCheck:
         return float(change[np.argmax(np.abs(change))]), detected
 
 
-class Found(NamedTuple):
+class Finding(NamedTuple):
     """What a check measured.
 
     Attributes
@@ -369,7 +369,7 @@ class Found(NamedTuple):
     n: int | None = None
 
 
-Values = Iterator[Found]
+Values = Iterator[Finding]
 
 
 @dataclass(frozen=True)
@@ -405,7 +405,7 @@ class Check:
     def rows(self, check: SensorCheck) -> Iterator[Result]:
         """Its rows of one sensor."""
         measured = list(globals()[self.measure](check, *([self.of] if self.of else [])))
-        for found in measured or ([Found(outcome=Outcome.NONE)] if self.absent else []):
+        for found in measured or ([Finding(outcome=Outcome.NONE)] if self.absent else []):
             outcome = self.outcome(found.value) if found.outcome is None else found.outcome
             informs, broken = outcome is Outcome.NONE, outcome is Outcome.ERROR
             if self.usual and outcome is Outcome.AGREES:
@@ -470,10 +470,10 @@ def check_sensor(sensor: Sensor | str | Path, *, vary: float = 0.2, engine: Engi
     return check
 
 
-def _worst(axis: SpectralAxis, values: Array, subject: str = "", *, least: bool = False) -> Found:
+def _worst(axis: SpectralAxis, values: Array, subject: str = "", *, least: bool = False) -> Finding:
     """The greatest or least of values (B,), which names its band."""
     k = int(np.argmin(values) if least else np.argmax(values))
-    return Found(float(values[k]), subject, f"{axis.centre_nm[k]:g} nm")
+    return Finding(float(values[k]), subject, f"{axis.centre_nm[k]:g} nm")
 
 
 def order(check: SensorCheck) -> Values:
@@ -483,26 +483,26 @@ def order(check: SensorCheck) -> Values:
     except UsageError as error:
         table = check.sensor.specification.bands.table or ()
         wrong = int(np.count_nonzero(np.diff([row[0] for row in table]) <= 0))
-        yield Found(max(wrong, 1), words="; ".join(filter(None, (error.what, error.mend))))
+        yield Finding(max(wrong, 1), words="; ".join(filter(None, (error.what, error.mend))))
     else:
-        yield Found(0.0)
+        yield Finding(0.0)
 
 
 def without_width(check: SensorCheck) -> Values:
     """Bands without a width, where there are any."""
     narrow = sum(width <= 0 for _, width, _ in check.sensor.specification.bands.table or ())
     if narrow:
-        yield Found(narrow, words="band widths (FWHM) must be positive")
+        yield Finding(narrow, words="band widths (FWHM) must be positive")
 
 
 def band_count(check: SensorCheck) -> Values:
     """Number of bands."""
-    yield Found(len(check.axis), words=f"{check.axis.good.sum()} of them good")
+    yield Finding(len(check.axis), words=f"{check.axis.good.sum()} of them good")
 
 
 def end(check: SensorCheck, side: str) -> Values:
     """Centre of the first or the last band."""
-    yield Found(check.axis.centre_nm[0 if side == "first" else -1])
+    yield Finding(check.axis.centre_nm[0 if side == "first" else -1])
 
 
 def _contiguous(check: SensorCheck) -> Mask:
@@ -519,9 +519,9 @@ def spacing(check: SensorCheck) -> Values:
     ratio, touch = neighbour_ratio(check.axis), _contiguous(check)
     if touch.any():
         words = "out of range: is sigma given for FWHM, half widths for full, or um for nm?"
-        yield Found(float(np.median(ratio[touch])), words=words)
+        yield Finding(float(np.median(ratio[touch])), words=words)
     elif ratio.size:
-        yield Found(float(np.median(ratio)), words="the bands of this sensor stand apart", outcome=Outcome.NONE)
+        yield Finding(float(np.median(ratio)), words="the bands of this sensor stand apart", outcome=Outcome.NONE)
 
 
 def gap(check: SensorCheck) -> Values:
@@ -530,7 +530,7 @@ def gap(check: SensorCheck) -> Values:
     if touch.any():
         unseen = np.where(touch, 1.0 / neighbour_ratio(check.axis) - 1.0, -np.inf)
         k = int(np.argmax(unseen))
-        yield Found(unseen[k], words=f"{check.axis.centre_nm[k]:g} and {check.axis.centre_nm[k + 1]:g} nm")
+        yield Finding(unseen[k], words=f"{check.axis.centre_nm[k]:g} and {check.axis.centre_nm[k + 1]:g} nm")
 
 
 def response(check: SensorCheck, moment: str) -> Values:
@@ -548,7 +548,7 @@ def outside_arms(check: SensorCheck) -> Values:
         low, high = np.array([arm.range_nm for arm in arms]).T[:, :, None]
         inside = (axis.centre_nm >= low - 0.5 * axis.fwhm_nm) & (axis.centre_nm <= high + 0.5 * axis.fwhm_nm)
         outside = axis.centre_nm[~inside.any(axis=0)]
-        yield Found(outside.size, words=", ".join(f"{w:g} nm" for w in outside[:5]))
+        yield Finding(outside.size, words=", ".join(f"{w:g} nm" for w in outside[:5]))
 
 
 def bands_of_two_arms(check: SensorCheck) -> Values:
@@ -563,13 +563,13 @@ def bands_of_two_arms(check: SensorCheck) -> Values:
     w, ranges = check.axis.centre_nm, [arm.range_nm for arm in check.sensor.specification.arms]
     shared = w[sum(((low <= w) & (w <= high)).astype(int) for low, high in ranges) > 1] if ranges else w[:0]
     if shared.size:
-        yield Found(shared.size, words=f"from {shared[0]:g} to {shared[-1]:g} nm")
+        yield Finding(shared.size, words=f"from {shared[0]:g} to {shared[-1]:g} nm")
 
 
 def bands_of_arm(check: SensorCheck) -> Values:
     """Number of bands of each arm."""
     counts = {arm.name: len(axis) for arm, axis in check.arms}
-    yield from (Found(counts.get(arm.name, 0), arm.name) for arm in check.sensor.specification.arms)
+    yield from (Finding(counts.get(arm.name, 0), arm.name) for arm in check.sensor.specification.arms)
 
 
 def least(check: SensorCheck, quantity: str) -> Values:
@@ -580,7 +580,7 @@ def least(check: SensorCheck, quantity: str) -> Values:
 
 def greatest(check: SensorCheck, quantity: str) -> Values:
     """Greatest value of a quantity of each arm over its bands."""
-    yield from (Found(float(getattr(arm, quantity).at(axis.centre_nm).max()), arm.name) for arm, axis in check.arms)
+    yield from (Finding(float(getattr(arm, quantity).at(axis.centre_nm).max()), arm.name) for arm, axis in check.arms)
 
 
 def beyond_table(check: SensorCheck, quantity: str) -> Values:
@@ -590,13 +590,13 @@ def beyond_table(check: SensorCheck, quantity: str) -> Values:
             (first, _), (last, _) = table[0], table[-1]
             w, width = axis.centre_nm, axis.fwhm_nm
             beyond = int(np.count_nonzero((w < first - width) | (w > last + width)))
-            yield Found(beyond, arm.name, f"{first:g} to {last:g} nm")
+            yield Finding(beyond, arm.name, f"{first:g} to {last:g} nm")
 
 
 def electrons(check: SensorCheck) -> Values:
     """Least of electrons per radiance over bands."""
     g = check.noise.electrons_per_radiance
-    yield Found(float(np.min(g)), outcome=None if np.all(np.isfinite(g)) else Outcome.DISAGREES)
+    yield Finding(float(np.min(g)), outcome=None if np.all(np.isfinite(g)) else Outcome.DISAGREES)
 
 
 def energy_gain(check: SensorCheck) -> Values:
@@ -617,7 +617,7 @@ def photon_transfer(check: SensorCheck) -> Values:
     # A measured fit with c != 0 is not linear in the radiance: it says nothing of the gain.
     linear = axis.good if noise.constant is None else axis.good & (noise.constant == 0.0)
     if linear.any():
-        yield Found(float(np.median(off[linear])), n=int(linear.sum()))
+        yield Finding(float(np.median(off[linear])), n=int(linear.sum()))
 
 
 def median_snr(check: SensorCheck) -> Values:
@@ -625,7 +625,7 @@ def median_snr(check: SensorCheck) -> Values:
     for level in LEVELS:
         snr = check.noise.snr(check.sunlit(level), calibration=False)
         for name, mask in summary_regions(check.axis).items():
-            yield Found(float(np.median(snr[mask])), f"reflectance {level:g}, {name}")
+            yield Finding(float(np.median(snr[mask])), f"reflectance {level:g}, {name}")
 
 
 def lowest_snr(check: SensorCheck) -> Values:
@@ -683,22 +683,22 @@ def growth(check: SensorCheck) -> Values:
     """Least relative growth of the SNR with radiance, with time, with aperture, and with a smaller C_R."""
     noise, spec, level = check.noise, check.sensor.specification, check.sunlit(MIDDLE)
 
-    def changed(**changes: float) -> Array:
+    def snr_with(**changes: float) -> Array:
         return changed_noise(noise, SensorChanges.model_validate(changes)).snr(level)
 
-    def brighter(key: str) -> Array:
+    def snr_with_more(key: str) -> Array:
         if spec.measured_noise is not None:
-            return changed(signal_factor=STEP)
+            return snr_with(signal_factor=STEP)
         return Sensor(spec, {f"{arm.name}.{key}": STEP for arm in spec.arms}).noise().snr(level)
 
     base = noise.snr(level)
     with np.errstate(all="ignore"):  # between radiances from 1/1000 of the level to four times of it
         snr = np.stack([noise.snr(f * level, calibration=False) for f in np.geomspace(1e-3, 4.0, 25)])
         rises = {"radiance": np.min(np.diff(snr, axis=0) / snr[:-1], axis=0)}
-    rises["integration time"] = brighter("integration_time_s") / base - 1.0
-    rises["aperture"] = brighter("throughput") / base - 1.0
+    rises["integration time"] = snr_with_more("integration_time_s") / base - 1.0
+    rises["aperture"] = snr_with_more("throughput") / base - 1.0
     worse = max(STEP * float(noise.calibration_percent.max()), 0.1)
-    rises["less C_R"] = base / changed(calibration_error_percent=worse) - 1.0
+    rises["less C_R"] = base / snr_with(calibration_error_percent=worse) - 1.0
     for name, values in rises.items():
         worst = _worst(check.axis, np.where(check.axis.good, values, np.inf), name, least=True)
         yield worst._replace(words=f"{name} at {worst.words}")
@@ -707,7 +707,7 @@ def growth(check: SensorCheck) -> Values:
 def published(check: SensorCheck, statement: str) -> Values:
     """Computed over published ratios, of values or of lower bounds; a file without any says so once."""
     if not check.points and statement == "value":
-        yield Found(words="the file holds no published ratio to compare with", outcome=Outcome.NONE)
+        yield Finding(words="the file holds no published ratio to compare with", outcome=Outcome.NONE)
     for point in (point for point in check.points if point.item.says == statement):
         subject, bound = f"{point.wavelength_nm:g} nm", "at least " if statement == "at least" else ""
         words = (
@@ -719,14 +719,14 @@ def published(check: SensorCheck, statement: str) -> Values:
             words, outcome = f"no band within a width of {subject}", Outcome.DISAGREES
         elif not point.judged:
             words += "; it does not say at which radiance, so ground of 0.25 under the sun at 45 deg is taken"
-        yield Found(point.computed / point.published, subject, words, outcome)
+        yield Finding(point.computed / point.published, subject, words, outcome)
 
 
 def scenario_runs(check: SensorCheck) -> Values:
     """Scenarios that could not be predicted."""
     for name, run in check.runs.items():
         if isinstance(run, HypervalError):
-            yield Found(words=f"{name}: {run}", outcome=Outcome.ERROR)
+            yield Finding(words=f"{name}: {run}", outcome=Outcome.ERROR)
 
 
 def not_positive(check: SensorCheck) -> Values:
@@ -734,7 +734,7 @@ def not_positive(check: SensorCheck) -> Values:
     for name, products in check.predictions.items():
         good = products.axis.clear
         spectra = (e.mean[good] for group in (products.radiance, products.snr) for e in group.values())
-        yield Found(sum(int(np.count_nonzero(~(np.isfinite(mean) & (mean > 0)))) for mean in spectra), name)
+        yield Finding(sum(int(np.count_nonzero(~(np.isfinite(mean) & (mean > 0)))) for mean in spectra), name)
 
 
 def snr_over_cap(check: SensorCheck) -> Values:
@@ -742,7 +742,7 @@ def snr_over_cap(check: SensorCheck) -> Values:
     for name, products in check.predictions.items():
         c_r = check.sensor.noise(products.axis).calibration_percent / 100.0
         most = max(float(np.max(e.mean * c_r)) for s, e in products.snr.items() if s in products.radiance)
-        yield Found(most, name, outcome=Outcome.AGREES if most <= 1.0 + 1e-9 else Outcome.DISAGREES)
+        yield Finding(most, name, outcome=Outcome.AGREES if most <= 1.0 + 1e-9 else Outcome.DISAGREES)
 
 
 def panel_error(check: SensorCheck) -> Values:
@@ -754,7 +754,7 @@ def panel_error(check: SensorCheck) -> Values:
             for panel in load_scenario(name).scene.panels
             if panel.spectrum.builtin is not None and panel.name in products.reflectance
         ]
-        yield Found(float(np.max(np.abs(off), initial=0.0)), name)
+        yield Finding(float(np.max(np.abs(off), initial=0.0)), name)
 
 
 def scene_saturation(check: SensorCheck) -> Values:
@@ -762,7 +762,7 @@ def scene_saturation(check: SensorCheck) -> Values:
     for name, products in check.predictions.items():
         parts = [float(np.max(np.where(products.axis.good, p, 0.0))) for p in products.full_scale.values()]
         if parts and np.all(np.isfinite(parts)):
-            yield Found(max(parts), name)
+            yield Finding(max(parts), name)
 
 
 def roc_step(check: SensorCheck) -> Values:
@@ -770,13 +770,13 @@ def roc_step(check: SensorCheck) -> Values:
     for name, (subject, detector, _), curve in check.curves:
         step = float(np.min(np.diff(curve.pd)))
         sound = step >= 0.0 and bool(np.all((curve.pd >= 0) & (curve.pd <= 1)))
-        yield Found(step, f"{name}, {subject} {detector}", outcome=Outcome.AGREES if sound else Outcome.DISAGREES)
+        yield Finding(step, f"{name}, {subject} {detector}", outcome=Outcome.AGREES if sound else Outcome.DISAGREES)
 
 
 def detection(check: SensorCheck) -> Values:
     """P_D of every target at the false-alarm probability that is watched."""
     for name, (subject, detector, _), curve in check.curves:
-        yield Found(float(detection_at(curve, FALSE_ALARM)), f"{name}, {subject} {detector}")
+        yield Finding(float(detection_at(curve, FALSE_ALARM)), f"{name}, {subject} {detector}")
 
 
 def swings(check: SensorCheck, output: str) -> Values:
@@ -786,4 +786,4 @@ def swings(check: SensorCheck, output: str) -> Values:
         words = f"{probe.key[0]} by {probe.key[1]} at P_FA 0.001, where P_D is {probe.value:.3f}"
     for swing in check.swings if words or output == "snr" else ():
         for sign, change in zip("-+", getattr(swing, output), strict=True):
-            yield Found(change, f"{swing.name} {sign}{100 * check.vary:g} %", words or swing.source)
+            yield Finding(change, f"{swing.name} {sign}{100 * check.vary:g} %", words or swing.source)

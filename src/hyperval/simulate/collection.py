@@ -109,28 +109,28 @@ class Detector:
         """(samples, B) at-sensor radiance without noise [uW cm-2 sr-1 nm-1]."""
         return np.asarray(reflectance * self.slope + self.offset)
 
-    def saturated(self, radiance: Field) -> int:
+    def count_saturated(self, radiance: Field) -> int:
         """How many of the radiances lie beyond the full scale of the digital numbers."""
         full = np.where(self.lsb > 0.0, self.lsb * (2 ** int(self.noise.bits) - 1), np.inf)
         return int(np.count_nonzero(radiance > full.astype(np.float32)))
 
-    def measured(self, radiance: Field, rng: np.random.Generator) -> Field:
+    def measure(self, radiance: Field, rng: np.random.Generator) -> Field:
         """(samples, B) radiance as the sensor delivers it [uW cm-2 sr-1 nm-1].
 
         Photon noise is drawn on the electrons (3.13), fixed noise added (3.15), both taken through the noise
         factor g_d (3.16); the sum is rounded to digital numbers (3.18), bits are flipped at their error rate
         (3.19), and the calibration of every sample carries its own relative error (3.17).
         """
-        out = self._detected(radiance, rng)
+        out = self._draw_noise(radiance, rng)
         out *= np.float32(self.noise.detector_gain)  # (3.16)
         out += radiance
-        out = self._digitised(out, rng)
+        out = self._digitise(out, rng)
         relative = self.noise.calibration_percent / 100.0
         if np.any(relative > 0.0):
             out += rng.standard_normal(out.shape, dtype=np.float32) * relative.astype(np.float32) * radiance  # (3.17)
         return out
 
-    def _detected(self, radiance: Field, rng: np.random.Generator) -> Field:
+    def _draw_noise(self, radiance: Field, rng: np.random.Generator) -> Field:
         """One draw of the detector's noise [radiance], before the noise factor."""
         n = self.noise
         noise = rng.standard_normal(radiance.shape, dtype=np.float32)
@@ -146,7 +146,7 @@ class Detector:
         noise += rng.standard_normal(radiance.shape, dtype=np.float32) * n.fixed_noise.astype(np.float32)  # (3.15)
         return np.asarray(noise / gain)  # back in radiance
 
-    def _digitised(self, radiance: Field, rng: np.random.Generator) -> Field:
+    def _digitise(self, radiance: Field, rng: np.random.Generator) -> Field:
         n, bits = self.noise, int(self.noise.bits)
         lsb = np.where(self.lsb > 0.0, self.lsb, 1.0).astype(np.float32)
         number = np.minimum(np.rint(radiance / lsb), np.float32(2**bits - 1))  # (3.18), up to full scale
@@ -161,7 +161,7 @@ class Detector:
             number += delta.reshape(number.shape).astype(np.float32)  # (3.19)
         return np.where(self.lsb > 0.0, number * lsb, radiance).astype(np.float32)
 
-    def stored(self, measured: Field) -> tuple[npt.NDArray[np.int16], int]:
+    def to_integers(self, measured: Field) -> tuple[npt.NDArray[np.int16], int]:
         """(samples, B) integers of the file and how many of them had to be clipped."""
         counts = np.rint(measured * np.float32(self.counts_per_radiance))
         whole = np.iinfo(np.int16)
@@ -321,12 +321,12 @@ def average_reflectance(renderer: SurfaceRenderer) -> tuple[Array, float]:
     Also the share of drawn reflectances below 0, which a Gaussian law does not exclude.
     """
 
-    def totals(line: int) -> tuple[Array, int]:
+    def sum_line(line: int) -> tuple[Array, int]:
         rho = renderer.reflectance(line)
         return rho.sum(axis=0, dtype=np.float64), int(np.count_nonzero(rho < 0.0))
 
     scene, total, negative = renderer.scene, np.zeros(renderer.bands), 0
-    for part, count in _line_by_line(totals, scene, "average reflectance"):
+    for part, count in _line_by_line(sum_line, scene, "average reflectance"):
         total += part
         negative += count
     pixels = scene.lines * scene.samples
@@ -338,12 +338,12 @@ def _write_cube(
 ) -> float:
     """Write the cube; returns the share of samples beyond the detector's full scale."""
 
-    def stored(line: int) -> tuple[npt.NDArray[np.int16], int]:
+    def simulate_line(line: int) -> tuple[npt.NDArray[np.int16], int]:
         rng = schema.generator(scene.seed, schema.NOISE, line)
         radiance = chain.radiance(renderer.reflectance(line))
-        values, clipped = chain.stored(chain.measured(radiance, rng))
+        values, clipped = chain.to_integers(chain.measure(radiance, rng))
         refuse(clipped, "scene.radiance", scene.name, clipped=clipped, line=line)
-        return values, chain.saturated(radiance)
+        return values, chain.count_saturated(radiance)
 
     axis, scale = inputs.axis, 1.0 / scene.counts_per_radiance
     noun = "closure: surfaces drawn as the model assumes" if scene.mode == "closure" else "broken assumptions"
@@ -356,17 +356,17 @@ def _write_cube(
         entries["acquisition time"] = scene.acquired_utc
     for name, number in (("gain", repr(scale)), ("offset", "0")):
         entries[f"data {name} values"] = "{" + ", ".join([number] * len(axis)) + "}"
-    options = {"data_type": 2, "axis": axis, "description": words, "extra": entries | scene.header, **_place(scene)}
+    options = {"data_type": 2, "axis": axis, "description": words, "extra": entries | scene.header, **_map_place(scene)}
     with envi_writer(path, lines=scene.lines, samples=scene.samples, bands=len(axis), **options) as writer:
         saturated = 0
-        for values, count in _line_by_line(stored, scene, "cube"):
+        for values, count in _line_by_line(simulate_line, scene, "cube"):
             writer.write(values[None])
             saturated += count
     return saturated / (scene.lines * scene.samples * len(axis))
 
 
 def _write_maps(class_path: Path, fill_path: Path, scene: SceneFile, ground: GroundLayout) -> None:
-    names, common = ("Unclassified", *ground.surfaces), {"interleave": "bsq", **_place(scene)}
+    names, common = ("Unclassified", *ground.surfaces), {"interleave": "bsq", **_map_place(scene)}
     entries = {"file type": "ENVI Classification", "classes": str(len(names))}
     entries["class names"] = "{" + ", ".join(names) + "}"
     numbers = ground.class_map[:, :, None] + np.uint8(1)  # 0 stands for "no class" in this format
@@ -376,7 +376,7 @@ def _write_maps(class_path: Path, fill_path: Path, scene: SceneFile, ground: Gro
     write_cube(fill_path, ground.fill[:, :, None], description=words, **common)
 
 
-def _place(scene: SceneFile) -> dict[str, Any]:
+def _map_place(scene: SceneFile) -> dict[str, Any]:
     """Where a map of the scene lies."""
     origin = scene.map
     zone = (32600 if origin.hemisphere == "north" else 32700) + origin.utm_zone

@@ -76,7 +76,7 @@ class TargetGroup(OneOf):
     heading_deg: float | Literal["random"] = 0.0
 
     @model_validator(mode="after")
-    def _of_room(self) -> TargetGroup:
+    def _check_room(self) -> TargetGroup:
         rows, columns = ((end - first) // self.spacing_pixels for first, end in (self.area.lines, self.area.samples))
         if self.count > rows * columns:
             raise ValueError(f"{self.count} planks on a grid of {rows} x {columns}")

@@ -14,7 +14,7 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 
 from hyperval.data import Array, Index
-from hyperval.figures.spec import SOURCES, VIRIDIS, Axis, ColourScale, Figure, Mark, Panels, Part, tones
+from hyperval.figures.spec import SOURCES, VIRIDIS, Axis, ColourScale, Figure, Mark, Panels, Part, palette_colours
 from hyperval.model import reads_again
 from hyperval.report.html import page
 from hyperval.report.verdict import number_text
@@ -94,7 +94,7 @@ _NO_VALUE: dict[str, Any] = {"outcome": Outcome.SKIPPED, "cause": Cause.NO_VALUE
 CurveKnee = tuple[Knee, dict[str, Any], KneePoint]  # the question, where the other inputs stand, the answer
 
 
-def knees_of(study: StudyFile, table: pd.DataFrame) -> list[CurveKnee]:
+def find_knees(study: StudyFile, table: pd.DataFrame) -> list[CurveKnee]:
     """The knees that a study asks for, one for each combination of its other inputs."""
     found = []
     for wanted in study.knees:
@@ -108,10 +108,10 @@ def knees_of(study: StudyFile, table: pd.DataFrame) -> list[CurveKnee]:
     return found
 
 
-def words_of(values: Mapping[str, Any], digits: int = 4) -> str:
+def values_text(values: Mapping[str, Any], digits: int = 4) -> str:
     """Inputs and their values in a line; None: as the scenario states it.
 
-    >>> words_of({"sun": 30.0, "sensor": "emit", "water": None})
+    >>> values_text({"sun": 30.0, "sensor": "emit", "water": None})
     'sun = 30, sensor = emit, water = as stated'
     """
     texts = ("as stated" if v is None else f"{v:.{digits}g}" if isinstance(v, float) else v for v in values.values())
@@ -156,57 +156,57 @@ def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> 
         for metric, value in values.items():
             add(*names, metric, value, unit, n=n, reason=why_not, **more)
     for curve, held_values, point in knees:
-        reason = "; ".join(filter(None, (words_of(held_values), point.reason)))
+        reason = "; ".join(filter(None, (values_text(held_values), point.reason)))
         add("study", curve.output, f"knee along {curve.along}", "knee", point.x, study.columns[curve.along].unit,
             reason=reason, **(_NO_VALUE if point.reason else {}))  # fmt: skip
-    for name, value in plan.sky_error.items():
+    for name, value in plan.atmosphere_error.items():
         add("study", name, "interpolated atmosphere", "error_at_held_out_states", value, n=study.atmosphere.checked)
     # A point goes by its inputs, as another study of the same may number it otherwise.
     for point in table.to_dict("records") if count <= MOST_LISTED else ():
-        name_of = words_of({n: point[n] for n in inputs if point[n] is not None and point[n] == point[n]}, 12)
+        name_of = values_text({n: point[n] for n in inputs if point[n] is not None and point[n] == point[n]}, 12)
         for name, unit in numbers.items():
             why = point["reason"] if np.isnan(point[name]) or "SATURATION" in point["reason"] else ""
             add("study", name, name_of or "as stated", "output", point[name], unit, reason=why)
     return rows
 
 
-def stated_figures(study: StudyFile, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> list[Figure]:
+def study_figures(study: StudyFile, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> list[Figure]:
     """All figures that a study asks for, each under its own title or, in full or short words, under what it shows."""
-    kinds, numbered = {"tornado": _tornado, "heat": _heat, "lines": _lines}, enumerate(study.plots, 1)
-    made = {f"{n:02d}-{plot.kind}-{plot.output}": kinds[plot.kind](study, table, plot, knees) for n, plot in numbered}
+    kinds, plots = {"tornado": _tornado_figure, "heat": _heat_figure, "lines": _lines_figure}, enumerate(study.plots, 1)
+    made = {f"{n:02d}-{plot.kind}-{plot.output}": kinds[plot.kind](study, table, plot, knees) for n, plot in plots}
     return [replace(figure, name=name) for name, figure in made.items()]
 
 
 def _figure(study: StudyFile, plot: Plot, view: Panels, against: tuple[str, str], notes: str, **more: Any) -> Figure:
     """The figure of a plot: its view, the ends of its full and its short title (``against``), and notes."""
     item = study.columns[plot.output]
-    full, short = (plot.title or said for said in (item.words + against[0], (item.label or item.name) + against[1]))
+    full, short = (plot.title or said for said in (item.title + against[0], (item.label or item.name) + against[1]))
     return Figure("", "study", full + notes, (view,), head=short, **more)
 
 
-def _shown(study: StudyFile, table: pd.DataFrame, plot: Plot) -> tuple[pd.DataFrame, dict[str, Any], str]:
+def _select_points(study: StudyFile, table: pd.DataFrame, plot: Plot) -> tuple[pd.DataFrame, dict[str, Any], str]:
     """Points that a figure shows, and where the listed inputs stand that it does not draw: at the middle one.
 
     >>> from types import SimpleNamespace as Of
     >>> one = Input(name="haze", path="atmosphere.aot550", values=[0.1, None])
     >>> table = pd.DataFrame({"haze": np.array([0.1, None], object), "pd": [0.2, 0.3]})
-    >>> points, _, words = _shown(Of(inputs=[one]), table, Plot(kind="lines", x="c", output="pd"))
+    >>> points, _, words = _select_points(Of(inputs=[one]), table, Plot(kind="lines", x="c", output="pd"))
     >>> points["pd"].tolist(), words
     ([0.3], '; at haze = as stated')
     """
     fixed = {}
     for item in study.inputs:
-        values = None if item.name in (plot.x, plot.y, plot.family) else item.listed
+        values = None if item.name in (plot.x, plot.y, plot.family) else item.listed_values
         if values is not None and len(values) > 1:
             fixed[item.name] = plain_value(values[len(values) // 2])
             table = table[table[item.name].isin([fixed[item.name]])]
-    return table, fixed, f"; at {words_of(fixed)}" if fixed else ""
+    return table, fixed, f"; at {values_text(fixed)}" if fixed else ""
 
 
-def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> Figure:
+def _lines_figure(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> Figure:
     item, output, family, log = study.columns[plot.x], study.columns[plot.output], plot.family, plot.scale == "log"
-    frame, fixed, notes = _shown(study, table, plot)
-    places, members = _different(frame[item.name]), _different(frame[family]) if family else [None]
+    frame, fixed, notes = _select_points(study, table, plot)
+    places, members = _distinct(frame[item.name]), _distinct(frame[family]) if family else [None]
     words = not all(isinstance(v, int | float) for v in places)
     spread = np.linspace(0, len(members) - 1, min(len(members), _MOST_LINES)).round().astype(int)
     shown = [members[i] for i in dict.fromkeys(spread.tolist())]
@@ -214,11 +214,11 @@ def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cu
     marks, texts, circles = [], [], []
     for k, member in enumerate(shown):
         part = finite[finite[family].isin([member])] if family else finite
-        line = _summarised(part[item.name], part[plot.output], log)
+        line = _summarise(part[item.name], part[plot.output], log)
         columns = {"y" if name == "middle" else name: line[name].to_numpy() for name in line}
         columns["x"] = [places.index(v) for v in line.index] if words else line.index.to_numpy(float)
         ordered = isinstance(member, float) and len(shown) > 1
-        colour = tones(VIRIDIS[:16], len(shown))[k] if ordered else SOURCES[k % len(SOURCES)]
+        colour = palette_colours(VIRIDIS[:16], len(shown))[k] if ordered else SOURCES[k % len(SOURCES)]
         label = _text(member) if family else ""
         marks.append(Mark("line", columns, label, colour, marker=_MARKERS[k] if len(line) <= 40 else "", alpha=0.15))
         line_values = {**fixed, **({family: member} if family else {})}
@@ -238,38 +238,38 @@ def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cu
         marks.append(Mark("dots", columns, "", "#222222", marker="circle", hollow=True))
         notes += "; circle: knee"
     share = getattr(output, "kind", "") in ("pd", "auc", "log-auc") and len(finite)
-    across = Axis(item.words, "names", tuple(map(str, places))) if words else Axis(item.words, plot.scale)
+    across = Axis(item.title, "names", tuple(map(str, places))) if words else Axis(item.title, plot.scale)
     # The last family member first: the lines mostly lie above each other in this order.
-    y = Axis(output.words, ends=(-0.03, 1.03) if share else None)
-    against = f" against {item.words}", f" against {item.label or item.name}"
-    legend_title = study.columns[family].words if family else ""
+    y = Axis(output.title, ends=(-0.03, 1.03) if share else None)
+    against = f" against {item.title}", f" against {item.label or item.name}"
+    legend_title = study.columns[family].title if family else ""
     view = Panels(across, (Part(y, tuple(marks[::-1])),), words="; ".join(texts))
     return _figure(study, plot, view, against, notes, width_in=8.6, legend_title=legend_title)
 
 
-def _heat(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> Figure:
+def _heat_figure(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> Figure:
     across, up = study.columns[plot.x], study.columns[plot.y]
-    frame, _, notes = _shown(study, table, plot)
+    frame, _, notes = _select_points(study, table, plot)
     edges, cell = list[Array](), list[Index]()
     for item, is_log in ((across, plot.scale == "log"), (up, False)):
         column = frame[item.name].to_numpy(float)
         bins = np.linspace(column.min(), column.max(), _BINS + 1)
-        if item.listed is not None:
-            bins = cell_edges(np.unique(np.asarray(item.listed, float)), is_log)
+        if item.listed_values is not None:
+            bins = cell_edges(np.unique(np.asarray(item.listed_values, float)), is_log)
         edges.append(bins)
         cell.append(np.clip(np.searchsorted(bins, column, "right") - 1, 0, bins.size - 2))
     median = frame[plot.output].groupby(cell[::-1]).median().dropna()
     r, c = (median.index.get_level_values(level) for level in (0, 1))
     value = median.to_numpy()
-    mark = heat_mark(edges, (c, r), value, study.columns[plot.output].words)
-    part = Part(Axis(up.words, ends=(float(edges[1][0]), float(edges[1][-1]))), (mark,))
+    mark = heat_mark(edges, (c, r), value, study.columns[plot.output].title)
+    part = Part(Axis(up.title, ends=(float(edges[1][0]), float(edges[1][-1]))), (mark,))
     words = f"from {number_text(value.min())} to {number_text(value.max())}" if value.size else "empty"
-    against = f" over {across.words} and {up.words}", f" over {across.label or across.name} and {up.label or up.name}"
-    axis = Axis(across.words, plot.scale, ends=(float(edges[0][0]), float(edges[0][-1])))
+    against = f" over {across.title} and {up.title}", f" over {across.label or across.name} and {up.label or up.name}"
+    axis = Axis(across.title, plot.scale, ends=(float(edges[0][0]), float(edges[0][-1])))
     return _figure(study, plot, Panels(axis, (part,), words=words), against, notes, width_in=7.6)
 
 
-def _tornado(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> Figure:
+def _tornado_figure(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> Figure:
     output, bars = table[plot.output], list[tuple[Input, list[tuple[float, Any]]]]()
     stated = [x for x in output[:1].tolist() if np.isfinite(x)]
     for item in study.inputs:
@@ -290,18 +290,18 @@ def _tornado(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[
             if end != base:
                 mark = Mark("bars", columns, "", colour, alpha=1.0, words=(_text(end_value),), beside=side)
                 (inner if crowded else outer).append(mark)
-        texts.append(f"{item.words}: {number_text(low)} at {_text(at_low)} to {number_text(high)} at {_text(at_high)}")
+        texts.append(f"{item.title}: {number_text(low)} at {_text(at_low)} to {number_text(high)} at {_text(at_high)}")
     reach = [*stated, *(value for _, ends in bars for value, _ in ends)] or [0.0]
     margin = 0.12 * (max(reach) - min(reach)) or 1.0
-    x = Axis(study.columns[plot.output].words, ends=(min(reach) - margin, max(reach) + margin))
-    part = Part(Axis.named([item.words for item, _ in bars], 60), (*outer, *inner), tuple(("x", x) for x in stated))
+    x = Axis(study.columns[plot.output].title, ends=(min(reach) - margin, max(reach) + margin))
+    part = Part(Axis.named([item.title for item, _ in bars], 60), (*outer, *inner), tuple(("x", x) for x in stated))
     notes = f"; line: as the scenario stands, {number_text(*stated)}" if stated else "; no value as the scenario stands"
     notes += "; at the ends the input's values, blue where the output is lowest, orange where it is highest"
     against = ": each input alone over its values", ": each input alone"
     return _figure(study, plot, Panels(x, (part,), words="; ".join(texts)), against, notes, width_in=9.0)
 
 
-def _summarised(x: pd.Series, y: pd.Series, logarithmic: bool) -> pd.DataFrame:
+def _summarise(x: pd.Series, y: pd.Series, logarithmic: bool) -> pd.DataFrame:
     """The middle by x, and low and high where points share an x or x is drawn at random, over bins of it."""
     if x.nunique() == len(x) > 2 * _BINS and not x.is_monotonic_increasing:
         scaled = np.log(x) if logarithmic else x
@@ -334,7 +334,7 @@ def heat_mark(edges: Sequence[Array], cells: Sequence[Index], value: Array, labe
     return Mark("cells", columns, scale=ColourScale("rising", low, max(high, low + 1e-12), label))
 
 
-def _different(column: pd.Series) -> list[Any]:
+def _distinct(column: pd.Series) -> list[Any]:
     """The values of a column, once each: numbers rising, words in the order of the file."""
     distinct = list(dict.fromkeys(column.tolist()))
     return sorted(distinct) if all(isinstance(v, int | float) for v in distinct) else distinct
@@ -355,12 +355,12 @@ def study_page(
     reasons = Counter(re.sub(r"; the nearest is [^;]*", "", text) for text in reasons_of)
     parts = {q.name: [text.partition(f"{q.name}: ")[2] for text in reasons_of] for q in study.required}
     why = {name: Counter(part.split("; ")[0] for part in texts if part) for name, texts in parts.items()}
-    moved = [move.path for item in study.moving for move in item.targets if move.path != PFA]
+    moved = [move.path for item in study.all_inputs for move in item.entries if move.path != PFA]
     return page(
         "study.html.j2", figures, plan=plan, study=study, figures=figures, record=record, names=names, count=len(table),
         extremes={name: extremes(table[name]) for name in list(study.columns)[len(study.inputs) :]},
         knees=knees[:_MOST_KNEES], knees_left_out=max(0, len(knees) - _MOST_KNEES), why=why,
-        listed={i.name: np.asarray(i.listed).tolist() for i in study.inputs if i.listed is not None},
-        most_values=_MOST_VALUES, reasons=reasons.most_common(_MOST_REASONS), words_of=words_of, number=number_text,
+        listed={i.name: np.asarray(i.listed_values).tolist() for i in study.inputs if i.listed_values is not None},
+        most_values=_MOST_VALUES, reasons=reasons.most_common(_MOST_REASONS), values=values_text, number=number_text,
         text=_text, anew=[path for path in moved if reads_again(plan.world.stated, path)], ground=GROUND, gas=LEAST_GAS,
     )  # fmt: skip

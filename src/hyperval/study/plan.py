@@ -38,9 +38,9 @@ GROUND = 0.3  # reflectance over which the error of the atmosphere is stated
 LEAST_GAS = 0.1  # and the two-way gas transmittance above which
 
 
-def drawn(distribution: Random, u: Array) -> Array:
+def quantiles(distribution: Random, u: Array) -> Array:
     """Values of a distribution at quantiles ``u`` in (0, 1)."""
-    low, high = distribution.ends
+    low, high = distribution.limits
     if distribution.normal is not None:
         mean, sd = distribution.normal
         return np.asarray(stats.truncnorm.ppf(u, (low - mean) / sd, (high - mean) / sd, mean, sd))
@@ -56,7 +56,7 @@ def input_values(study: StudyFile, start: int = 0, stop: int | None = None) -> M
     one-at-a-time design leaves alone hold None.
     """
     number, columns, first = np.arange(start, study.count if stop is None else stop), dict[str, Column](), 1
-    listed = {i.name: values for i in study.inputs if (values := i.listed) is not None}
+    listed = {i.name: values for i in study.inputs if (values := i.listed_values) is not None}
     random = {i.name: i.random for i in study.inputs if i.random is not None}
     if study.design.kind == "one-at-a-time":
         for name, values in listed.items():
@@ -70,7 +70,7 @@ def input_values(study: StudyFile, start: int = 0, stop: int | None = None) -> M
         columns[name] = values[index]
     if random:  # what is left is the number of the draw
         u = _sobol(len(random), study.design.seed, int(number[0]), int(number[-1]) + 1)[number - number[0]]
-        columns |= {name: drawn(law, u[:, k]) for k, (name, law) in enumerate(random.items())}
+        columns |= {name: quantiles(law, u[:, k]) for k, (name, law) in enumerate(random.items())}
     return {i.name: columns[i.name] for i in study.inputs}
 
 
@@ -84,14 +84,14 @@ def _sobol(dimensions: int, seed: int, start: int, stop: int) -> Array:
         return np.asarray(np.clip(sequence.random(stop - start), 1e-12, 1.0 - 1e-12))
 
 
-def moved(inputs: Sequence[Moving], columns: Mapping[str, Column]) -> dict[str, Column]:
+def path_values(inputs: Sequence[Moving], columns: Mapping[str, Column]) -> dict[str, Column]:
     """Dotted path -> (n,) values at the points of ``columns``; None where an entry is left as it is."""
     out: dict[str, Column] = {}
     for item in inputs:
-        column, moves = columns[item.name], item.targets
+        column, moves = columns[item.name], item.entries
         for k, move in enumerate(moves):
             single = (v[k] if isinstance(v, list) and len(moves) > 1 else v for v in column)
-            out[move.path] = move.of(column) if column.dtype != object else column_of([move.of(v) for v in single])
+            out[move.path] = move.apply(column) if column.dtype != object else column_of(list(map(move.apply, single)))
     return out
 
 
@@ -119,10 +119,10 @@ def check_outputs(outputs: list[Output], scenario: Scenario, axis: SpectralAxis)
         unknown = o.detector not in (None, *detectors)
         refuse(unknown, "study.detector", at=where, detector=o.detector, names=", ".join(detectors))
         if o.is_spectral:
-            bands_of(o, axis)
+            output_bands(o, axis)
 
 
-def bands_of(output: Output, axis: SpectralAxis) -> Index:
+def output_bands(output: Output, axis: SpectralAxis) -> Index:
     """Numbers of the bands that a spectral output reads.
 
     Raises
@@ -139,10 +139,10 @@ def bands_of(output: Output, axis: SpectralAxis) -> Index:
     return bands
 
 
-def of_truths(e: Evaluation, output: Output, pfa: Array | None) -> Array:
+def evaluate_output(e: Evaluation, output: Output, pfa: Array | None) -> Array:
     """An output in every truth of an evaluation (n,); ``pfa`` (n,) where an input moves it."""
     if output.is_spectral:
-        bands = bands_of(output, e.axis)
+        bands = output_bands(output, e.axis)
         snr = output.kind == "snr"
         values = e.snr(output.subject) if snr else e.radiance(output.subject)
         return np.asarray(values[:, bands].mean(axis=1))
@@ -159,15 +159,15 @@ def of_truths(e: Evaluation, output: Output, pfa: Array | None) -> Array:
 def saturation(e: Evaluation) -> dict[int, str]:
     """Truth -> which subjects pass full scale there, in some band of their mean radiance."""
 
-    def passes(light: Light, rho: Array) -> Array:
+    def saturates(light: Light, rho: Array) -> Array:
         part = needed(light.noise, "scenario.noise").full_scale_fraction(light.level(rho))
         return np.asarray(np.any(part > 1.0, axis=(1, 2)))
 
     noise, brightest = e.light.noise, np.fmax.reduce(e.at.mean, axis=1, keepdims=True)  # of surfaces and mixtures
-    if noise is None or noise.full_scale is None or not passes(e.light, brightest).any():
+    if noise is None or noise.full_scale is None or not saturates(e.light, brightest).any():
         return {}
     light, each = e.light.rows(e.which), reflectances(e).items()
-    passed = {name: np.broadcast_to(passes(light, rho), (len(e),)) for name, (rho, _) in each}
+    passed = {name: np.broadcast_to(saturates(light, rho), (len(e),)) for name, (rho, _) in each}
     by_truth = {u: [name for name, where in passed.items() if where[u]] for u in range(len(e))}
     return {u: f"SATURATION: full scale is passed by {', '.join(names)}" for u, names in by_truth.items() if names}
 
@@ -199,7 +199,7 @@ def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> 
         try:
             for index, e in evaluations(with_truths(world, truths)):
                 points, rates = rows[index], None if pfa is None else pfa[index]
-                values[points] = np.stack([of_truths(e, o, rates) for o in outputs], axis=1)
+                values[points] = np.stack([evaluate_output(e, o, rates) for o in outputs], axis=1)
                 remarks = saturation(e) | {u: " ".join(str(error).split()) for u, error in e.problems.items()}
                 problems |= {int(points[u]): words for u, words in remarks.items()}
         except UsageError as error:
@@ -216,14 +216,14 @@ class Plan:
 
     Attributes
     ----------
-    sky_error : what the interpolation of the atmosphere costs, name -> value; empty where it is not interpolated
+    atmosphere_error : what the interpolation of the atmosphere costs, name -> value; empty where it is not interpolated
     log : files that were read
     """
 
     study: StudyFile
     scenario: Scenario
     world: World
-    sky_error: Mapping[str, float]
+    atmosphere_error: Mapping[str, float]
     log: InputLog
 
 
@@ -250,50 +250,50 @@ def plan_study(study: StudyFile) -> Plan:
     log = InputLog(scenario.folder)
     if file is not None:
         log.add(file.resolve(), study.scenario)
-    states, nodes = states_of(study, scenario)
+    states, nodes = plan_states(study, scenario)
     # What has one value beside others that are interpolated is set.
     alone = {key: nodes.pop(key)[0] for key in [key for key, values in nodes.items() if len(values) == 1]}
     if alone:
-        scenario = with_settings(scenario, as_entries(scenario, {f"atmosphere.{k}": v for k, v in alone.items()}))
+        scenario = with_settings(scenario, file_entries(scenario, {f"atmosphere.{k}": v for k, v in alone.items()}))
     world = read_world(scenario, Origins(resolve=log.resolve), nodes=nodes)
-    try_values(study, world)
+    check_values(study, world)
     world.stated.atmosphere.prepare(states)
     check_outputs(study.outputs, scenario, world.stated.axis)
-    return Plan(study, scenario, world, _sky_error(study, world) if nodes else {}, log)
+    return Plan(study, scenario, world, _atmosphere_error(study, world) if nodes else {}, log)
 
 
-def try_values(study: StudyFile, world: World) -> None:
+def check_values(study: StudyFile, world: World) -> None:
     """Refuse values that the scenario does not take, and those beyond the limits of a path of the model (``PATHS``).
 
     Tried is every listed one, or the ends where there are many: limits of numbers are intervals, so that the ends
     speak for what lies between.
     """
-    for item in study.moving:
+    for item in study.all_inputs:
         for value in values_to_try(item):
             try:
-                try_changes(world, point_of(item, value))
+                check_changes(world, point_values(item, value))
             except UsageError as error:
                 raise UsageError(f"input {item.name!r} at {value!r:.80}: {error}") from error
 
 
-def try_changes(world: World, changes: dict[str, Any]) -> None:
+def check_changes(world: World, changes: dict[str, Any]) -> None:
     """Refuse values at dotted paths that the scenario or the model does not take; None: an entry that is left alone."""
     pfa = changes.get(PFA, 0.5)
     refuse(not (isinstance(pfa, Real) and 0.0 < float(pfa) < 1.0), "study.pfa", at=pfa)
     changes = {path: value for path, value in changes.items() if value is not None and path != PFA}
     check_numbers(world, changes)
-    entries = as_entries(world.stated.scenario, {path: v for path, v in changes.items() if isinstance(v, Real)})
+    entries = file_entries(world.stated.scenario, {path: v for path, v in changes.items() if isinstance(v, Real)})
     entries |= {path: v for path, v in changes.items() if not path.endswith("_zenith_deg")}
     with_settings(world.stated.scenario, {path: v for path, v in (changes | entries).items() if in_file(path)})
 
 
-def as_entries(scenario: Scenario, values: Mapping[str, Any]) -> dict[str, Any]:
+def file_entries(scenario: Scenario, values: Mapping[str, Any]) -> dict[str, Any]:
     """Values at paths as entries of a scenario's file: with what gives way to them, as time and place do to the sun.
 
     >>> stated, values = load_scenario("panels"), {"atmosphere.solar_zenith_deg": -5.0, "scene.classes.grass.gain": 2.0}
-    >>> as_entries(stated, values)
+    >>> file_entries(stated, values)
     {'scene.classes.grass.gain': 2.0, 'atmosphere.solar_zenith_deg': 5.0, 'atmosphere.solar_azimuth_deg': 0.0}
-    >>> as_entries(stated.model_copy(update={"atmosphere": None}), values)
+    >>> file_entries(stated.model_copy(update={"atmosphere": None}), values)
     {'scene.classes.grass.gain': 2.0}
     """
     state, sky = scenario.atmosphere, {p.partition(".")[2]: v for p, v in values.items() if p.startswith("atmosphere.")}
@@ -302,27 +302,27 @@ def as_entries(scenario: Scenario, values: Mapping[str, Any]) -> dict[str, Any]:
     return out | {f"atmosphere.{key}": value for key, value in entries.items()}
 
 
-def point_of(item: Moving, value: Any) -> dict[str, Any]:
+def point_values(item: Moving, value: Any) -> dict[str, Any]:
     """Dotted path -> what stands there where an input has a value; None where an entry is left as it is."""
-    return {path: plain(column[0]) for path, column in moved([item], {item.name: column_of([value])}).items()}
+    return {path: plain(column[0]) for path, column in path_values([item], {item.name: column_of([value])}).items()}
 
 
 def values_to_try(item: Input | Required) -> list[Any]:
-    """Values of an input that speak for all: every one that is listed, or the ends where these are many numbers."""
+    """Values that are checked for all of an input: every listed one, or the ends of many numbers."""
     if isinstance(item, Required):
         return list(item.between)
-    if item.listed is None:
-        return list(item.random.ends) if item.random is not None else []
-    tries = item.listed.tolist()
-    return tries if len(tries) <= MOST_TRIED or item.listed.dtype == object else [min(tries), max(tries)]
+    if item.listed_values is None:
+        return list(item.random.limits) if item.random is not None else []
+    tries = item.listed_values.tolist()
+    return tries if len(tries) <= MOST_TRIED or item.listed_values.dtype == object else [min(tries), max(tries)]
 
 
-def states_of(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any]], dict[str, tuple[float, ...]]]:
+def plan_states(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any]], dict[str, tuple[float, ...]]]:
     """States of the atmosphere that the study needs, entries that differ in each; or nodes of entries to go between."""
     if scenario.atmosphere is None:
         return [], {}
     moving = [
-        (item, move, key) for item in study.moving for move in item.targets
+        (item, move, key) for item in study.all_inputs for move in item.entries
         for room, _, key in [move.path.partition(".")] if room == "atmosphere" and key not in ("engine", "table")
     ]  # fmt: skip
     items = list({item.name: item for item, _, _ in moving}.values())
@@ -332,22 +332,22 @@ def states_of(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, A
     # What is looked for along a sky that is emulated needs no states beforehand.
     asked = [item for item in items if isinstance(item, Required) and scenario.atmosphere.engine == "emulator"]
     if len(listed) + len(asked) == len(items) and few:
-        columns, keys = moved(listed, input_values(alone)), {m.path: key for i, m, key in moving if i in listed}
+        columns, keys = path_values(listed, input_values(alone)), {m.path: key for i, m, key in moving if i in listed}
         each = zip(*(columns[path].tolist() for path in keys), strict=True)
         rows = [{key: plain(v) for key, v in zip(keys.values(), row, strict=True) if v is not None} for row in each]
         return list({repr(sorted(row.items())): row for row in rows or [{}]}.values()), {}
     nodes = dict[str, tuple[float, ...]]()
     for item, move, key in moving:
-        column = item.listed if isinstance(item, Input) else None
+        column = item.listed_values if isinstance(item, Input) else None
         if column is None or column.dtype != object:  # words are read again for each
-            ends = np.unique([*nodes.get(key, ()), *(move.of(float(v)) for v in values_to_try(item))])
+            ends = np.unique([*nodes.get(key, ()), *(move.apply(float(v)) for v in values_to_try(item))])
             few = column is not None and ends.size <= study.atmosphere.nodes
             between = ends if few else interpolation_nodes(key, float(ends[0]), float(ends[-1]), study.atmosphere.nodes)
             nodes[key] = tuple(between.tolist())
     return [], nodes
 
 
-def _sky_error(study: StudyFile, world: World) -> dict[str, float]:
+def _atmosphere_error(study: StudyFile, world: World) -> dict[str, float]:
     """What the interpolation of the atmosphere costs at held-out states, drawn between the nodes (seeded).
 
     Relative error of the radiance over ground of 0.3 where the two-way gas transmittance is above 0.1 (worst and
@@ -355,7 +355,7 @@ def _sky_error(study: StudyFile, world: World) -> dict[str, float]:
     """
     stated, between, count = world.stated, world.stated.atmosphere, study.atmosphere.checked
     rng = np.random.default_rng([study.design.seed, 6])
-    states = {f"atmosphere.{k}": _between(np.array(n), rng.random(count)) for k, n in between.nodes.items()}
+    states = {f"atmosphere.{k}": _held_out_values(np.array(n), rng.random(count)) for k, n in between.nodes.items()}
     exact = replace(between, nodes={}, cache={})
     ours, theirs = between(states, count), exact(states, count)
 
@@ -363,9 +363,9 @@ def _sky_error(study: StudyFile, world: World) -> dict[str, float]:
     radiance, expected = (mean_radiance(terms, GROUND, GROUND)[clear] for terms in (ours, theirs))
     error = radiance / expected - 1.0
     errors = {"radiance, worst": float(np.abs(error).max()), "radiance, rms": float(np.sqrt(np.mean(error**2)))}
-    first = moved(study.inputs, input_values(study, 0, min(count, study.count)))
+    first = path_values(study.inputs, input_values(study, 0, min(count, study.count)))
     columns = {path: np.resize(column, count) for path, column in first.items()}
-    columns |= {m.path: np.full(count, m.of(0.5 * sum(q.between))) for q in study.required for m in q.targets}
+    columns |= {m.path: np.full(count, m.apply(0.5 * sum(q.between))) for q in study.required for m in q.entries}
     columns |= states
     a, _ = output_values(world, columns, study.outputs)
     b, _ = output_values(World(replace(stated, atmosphere=exact, cache={})), columns, study.outputs)
@@ -373,7 +373,7 @@ def _sky_error(study: StudyFile, world: World) -> dict[str, float]:
     return errors | {f"output {output.name}": one for output, one in zip(study.outputs, worst, strict=True)}
 
 
-def _between(nodes: Array, u: Array) -> Array:
+def _held_out_values(nodes: Array, u: Array) -> Array:
     """Points in the middle halves of the intervals between nodes, where an interpolation is worst."""
     k = np.minimum((u * (nodes.size - 1)).astype(int), nodes.size - 2)
     part = 0.25 + 0.5 * (u * (nodes.size - 1) - k)
@@ -414,23 +414,23 @@ def required_values(
     def outputs_at(x: Array, rows: npt.NDArray[Any], *names: str) -> tuple[Array, Mapping[int, str]]:
         """Outputs (k, O) at points ``rows`` with the required input at ``x`` (k,), and remarks by point."""
         part = {path: column[rows.astype(int)] for path, column in columns.items()}
-        part |= {m.path: m.of(x) for m in question.targets}
+        part |= {m.path: m.apply(x) for m in question.entries}
         return values_of(part, [named[name] for name in names])
 
-    def miss(x: Array, row: Array) -> Array:
+    def residual(x: Array, row: Array) -> Array:
         return outputs_at(x.ravel(), row.ravel(), question.output)[0].reshape(x.shape) - question.equals
 
     named = {o.name: o for o in outputs}
     n = len(next(iter(columns.values())))
     x = (np.geomspace if question.spacing == "log" else np.linspace)(*question.between, question.scan)
-    gap = miss(np.tile(x, n), np.repeat(np.arange(n), x.size)).reshape(n, x.size)
+    gap = residual(np.tile(x, n), np.repeat(np.arange(n), x.size)).reshape(n, x.size)
     bracket, remarks = zip(*(_bracket(x, part, question) for part in gap), strict=True)
     reasons = {i: why for i, why in enumerate(remarks) if why}
     first, values = np.array(bracket), np.full(n, np.nan)
     solved = np.flatnonzero(first >= 0)
     if solved.size:
         ends = x[first[solved]], x[first[solved] + 1]
-        root = find_root(miss, ends, args=(solved.astype(float),), tolerances={"xrtol": 1e-10}, maxiter=100)
+        root = find_root(residual, ends, args=(solved.astype(float),), tolerances={"xrtol": 1e-10}, maxiter=100)
         values[solved] = np.where(root.success, root.x, np.nan)
         reasons |= {int(i): "the root was not found" for i in solved[~root.success]}
     reports = np.full((n, len(question.report)), np.nan)

@@ -25,8 +25,8 @@ from hyperval.model import predict
 from hyperval.progress import track
 from hyperval.run import Run, harmless
 from hyperval.storage import partial_folder, whole_folder, write_text
-from hyperval.study.page import knees_of, result_rows, stated_figures, study_page
-from hyperval.study.plan import Plan, input_values, moved, output_values, plain_value, plan_study, required_values
+from hyperval.study.page import find_knees, result_rows, study_figures, study_page
+from hyperval.study.plan import Plan, input_values, output_values, path_values, plain_value, plan_study, required_values
 from hyperval.study.schema import StudyFile, load_study
 
 _SMALLEST, _LARGEST, _CHUNKS = 64, 4096, 64
@@ -58,13 +58,13 @@ def study_to_folder(path: Path, output: Path, *, scheduler: str | None = None) -
     with whole_folder(Path(output)) as folder:  # first of all: hours may be spent on it
         plan, kept = plan_study(load_study(Path(path))), partial_folder(Path(output))
         study = plan.study
-        table = table_of(study, evaluated(plan, kept, scheduler))
+        table = build_table(study, evaluate_chunks(plan, kept, scheduler))
         prediction = predict(plan.scenario)
         names = write_tables(study, table, folder)
-        knees = knees_of(study, table)
+        knees = find_knees(study, table)
         stated = {"study": study, "scenario": plan.scenario}
         record = record_of(plan.log, [plan.scenario], study.design.seed, stated, [prediction])
-        figures = stated_figures(study, table, knees)
+        figures = study_figures(study, table, knees)
         page = study_page(plan, table, figures, record, names, knees)
         run = Run(result_rows(plan, table, knees), record, {"predicted": prediction}, study.title or study.name)
         run.write(folder, page, drawings_of(figures, simulated=False))
@@ -72,7 +72,7 @@ def study_to_folder(path: Path, output: Path, *, scheduler: str | None = None) -
     return 0
 
 
-def evaluated(plan: Plan, folder: Path, scheduler: str | None = None) -> list[Chunk]:
+def evaluate_chunks(plan: Plan, folder: Path, scheduler: str | None = None) -> list[Chunk]:
     """Every chunk in the order of the points, a file each in a folder of its own: those of this study are read again.
 
     Raises
@@ -110,7 +110,7 @@ def run_chunk(piece: tuple[Parcel, int, int]) -> Chunk:
     packed, start, stop = piece
     plan: Plan = opened(packed)
     study, values_of = plan.study, partial(output_values, plan.world)
-    columns = moved(study.inputs, input_values(study, start, stop))
+    columns = path_values(study.inputs, input_values(study, start, stop))
     values, problems = values_of(columns, study.outputs)
     parts, remarks = [values], [problems]
     for question in study.required:
@@ -121,12 +121,12 @@ def run_chunk(piece: tuple[Parcel, int, int]) -> Chunk:
     return np.concatenate(parts, axis=1), reasons
 
 
-def table_of(study: StudyFile, chunks: Sequence[Chunk]) -> pd.DataFrame:
+def build_table(study: StudyFile, chunks: Sequence[Chunk]) -> pd.DataFrame:
     """Inputs, numbers and what is to be said of each point; a number that is left alone is NaN."""
     columns, numbers = input_values(study), list(study.columns)[len(study.inputs) :]
     table = pd.DataFrame(index=pd.RangeIndex(study.count, name="point"))
     for item in study.inputs:
-        some, is_text = columns[item.name], item.listed is not None and item.listed.dtype == object
+        some, is_text = columns[item.name], item.listed_values is not None and item.listed_values.dtype == object
         table[item.name] = pd.Series(list(map(plain_value, some)), dtype=object) if is_text else np.asarray(some, float)
     table[numbers] = np.concatenate([values for values, _ in chunks])
     reasons = {point: text for _, some in chunks for point, text in some.items()}

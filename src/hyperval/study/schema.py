@@ -48,13 +48,13 @@ class Random(OneOf):
         "within and normal go together: a normal distribution is cut at stated ends": lambda r: (
             (r.within is None) != (r.normal is None)
         ),
-        "the lower end lies below the upper one": lambda r: not r.ends[0] < r.ends[1],
-        "log_uniform starts above 0": lambda r: r.log_uniform and r.ends[0] <= 0,
+        "the lower end lies below the upper one": lambda r: not r.limits[0] < r.limits[1],
+        "log_uniform starts above 0": lambda r: r.log_uniform and r.limits[0] <= 0,
         "a standard deviation is above 0": lambda r: r.normal and r.normal[1] <= 0,
     }
 
     @property
-    def ends(self) -> tuple[float, float]:
+    def limits(self) -> tuple[float, float]:
         """Least and greatest value that can be drawn."""
         return self.uniform or self.log_uniform or self.within or (math.nan, math.nan)
 
@@ -66,8 +66,8 @@ class Move(Model):
     factor: float = 1.0
     offset: float = 0.0
 
-    def of(self, value: Any) -> Any:
-        """What the entry is where the input has a value, or values (n,); what is no number stands as it is."""
+    def apply(self, value: Any) -> Any:
+        """Value of the entry at a value, or values (n,), of the input; what is no number stays as it is."""
         is_number = isinstance(value, int | float | np.ndarray) and not isinstance(value, bool)
         return self.offset + self.factor * value if is_number else value
 
@@ -84,12 +84,12 @@ class Moving(Model):
     refused: ClassVar = {"give either path or moves": lambda m: (m.path is None) == (not m.moves)}
 
     @property
-    def targets(self) -> list[Move]:
+    def entries(self) -> list[Move]:
         """The entries that it moves."""
         return self.moves or [Move(path=str(self.path))]
 
     @property
-    def words(self) -> str:
+    def title(self) -> str:
         """Label with unit, for axes."""
         return (self.label or self.name) + (f" [{self.unit}]" if self.unit != "1" else "")
 
@@ -120,7 +120,7 @@ class Input(Moving, OneOf):
         return len(self.values) if self.values else self.grid.count if self.grid else 1
 
     @cached_property
-    def listed(self) -> npt.NDArray[Any] | None:
+    def listed_values(self) -> npt.NDArray[Any] | None:
         """Its values in the order of the file, numbers as floats and anything else as objects; None where random."""
         if self.grid is not None:
             spaced = np.geomspace if self.grid.spacing == "log" else np.linspace
@@ -135,7 +135,7 @@ class Input(Moving, OneOf):
         [True, True, True, False, False, False]
         """
         # What is drawn lies above the lower end.
-        values = self.listed if self.random is None else np.nextafter(self.random.ends, np.inf)
+        values = self.listed_values if self.random is None else np.nextafter(self.random.limits, np.inf)
         return values is not None and values.dtype != object and (scale == "linear" or bool(values.min() > 0))
 
 
@@ -193,7 +193,7 @@ class Output(Model):
         return "uW cm-2 sr-1 nm-1" if self.kind == "radiance" else "1"
 
     @property
-    def words(self) -> str:
+    def title(self) -> str:
         """Label with unit, for axes."""
         return (self.label or self.name) + " [µW cm⁻² sr⁻¹ nm⁻¹]" * (self.kind == "radiance")
 
@@ -273,14 +273,14 @@ class StudyFile(FileModel):
 
     refused: ClassVar = {
         "one-at-a-time takes values or grids, and no input that moves pfa": lambda s: (
-            s.design.kind == "one-at-a-time" and ("pfa" in s.paths or any(i.random for i in s.inputs))
+            s.design.kind == "one-at-a-time" and ("pfa" in s.moved_paths or any(i.random for i in s.inputs))
         ),
         "a tornado goes with design: {kind: one-at-a-time}, and other plots do not": lambda s: any(
             (p.kind == "tornado") != (s.design.kind == "one-at-a-time") for p in s.plots
         ),
-        "two inputs move {names}": lambda s: twice(s.paths),
+        "two inputs move {names}": lambda s: twice(s.moved_paths),
         "output {!r}: give pfa, or an input that moves pfa, and not both": lambda s: [
-            o.name for o in s.outputs if o.kind == "pd" and (o.pfa is None) != ("pfa" in s.paths)
+            o.name for o in s.outputs if o.kind == "pd" and (o.pfa is None) != ("pfa" in s.moved_paths)
         ],
         "knees: {!r} is random; a knee needs values or a grid": lambda s: [
             k.along for k in s.knees if any(i.random and i.name == k.along for i in s.inputs)
@@ -320,13 +320,13 @@ class StudyFile(FileModel):
         return {column.name: column for column in columns}
 
     @property
-    def paths(self) -> list[str]:
-        """What its inputs move."""
-        return [m.path for i in self.inputs for m in i.targets]
+    def moved_paths(self) -> list[str]:
+        """Paths that its inputs move."""
+        return [m.path for i in self.inputs for m in i.entries]
 
     @property
-    def moving(self) -> list[Input | Required]:
-        """What moves entries of the scenario: inputs, and what is looked for."""
+    def all_inputs(self) -> list[Input | Required]:
+        """Inputs of the design, and those that are solved for."""
         return [*self.inputs, *self.required]
 
     @property

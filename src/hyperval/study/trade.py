@@ -1,8 +1,8 @@
 """Trade-offs by plain names: one or two inputs against an output, piece by piece, and the ROC where sliders stand.
 
-What is asked is a study (:func:`study_of`), whose YAML ``hyperval study`` runs unchanged to the same numbers.  Where it
-can, the emulator gives the atmosphere, so that sliders of sun and haze answer at once; its error is shown and is part
-of the intervals.
+What is asked is a study (:func:`trade_study`), whose YAML ``hyperval study`` runs unchanged to the same numbers.  Where
+it can, the emulator gives the atmosphere, so that sliders of sun and haze answer at once; its error is shown and is
+part of the intervals.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hyperval.config import Model
 from hyperval.data import LINEAR_DETECTORS, Array, Mask
 from hyperval.datasets import resolve
 from hyperval.errors import UsageError, package_table, refusal, refuse
-from hyperval.figures.spec import CURVES, PREDICTED, WAVELENGTH, Axis, Figure, Mark, Panels, Part, Rules, statement
+from hyperval.figures.spec import CURVES, PREDICTED, WAVELENGTH, Axis, Figure, Mark, Panels, Part, Rules, figure_json
 from hyperval.model import Origins, World, evaluations, every_path, predict, read_world, value_at, with_values
 from hyperval.model.intervals import Z95
 from hyperval.model.radiance import mean_radiance
@@ -47,7 +47,7 @@ KINDS: dict[str, str] = OFFERED["outputs"]
 
 
 class Trade(Model):
-    """What is asked of a scenario; inputs go by the keys of :class:`Offer`, sensors of files by their names."""
+    """What is asked of a scenario; inputs go by the keys of :class:`TradeInput`, sensors of files by their names."""
 
     scenario: str = Field("yellow-planks-asphalt", max_length=100)
     x: str = Field("", max_length=300)
@@ -75,7 +75,7 @@ class Trade(Model):
         return self.output in ("snr", "radiance")
 
 
-class Offer(Model):
+class TradeInput(Model):
     """An input that may be picked: a row of ``trade.yaml``, of the paths of a scenario.
 
     Attributes
@@ -102,26 +102,26 @@ class Offer(Model):
 
     @property
     def key(self) -> str:
-        """By which it is picked."""
+        """Path that it is selected by."""
         return self.paths[0]
 
     @property
-    def words(self) -> str:
+    def title(self) -> str:
         """Name with unit."""
         return self.name + (f" [{self.unit}]" if self.unit != "1" else "")
 
     def with_unit(self, value: float) -> str:
-        """A value of it with its unit."""
+        """A value with the unit of the input."""
         return f"{value:.4g}" + (f" {self.unit}" if self.unit != "1" else "")
 
-    def ends(self, low: float | None, high: float | None) -> tuple[float, float]:
+    def limits(self, low: float | None, high: float | None) -> tuple[float, float]:
         """Ends of an axis where they are stated, else about the value in the scenario."""
         near = self.spacing == "log" and 0.0 < self.now < math.inf
         first, last = (max(self.low, self.now / 10), min(self.high, self.now * 10)) if near else (self.low, self.high)
         return first if low is None else low, last if high is None else high
 
 
-class Prepared(NamedTuple):
+class Setup(NamedTuple):
     """A scenario read for a trade: its world, what was set in it, and what it has to pick from.
 
     Attributes
@@ -134,7 +134,7 @@ class Prepared(NamedTuple):
     scenario: Scenario
     world: World
     settings: Mapping[str, Any]
-    inputs: Mapping[str, Offer]
+    inputs: Mapping[str, TradeInput]
     targets: tuple[str, ...]
     surfaces: tuple[str, ...]
     backgrounds: tuple[str, ...]
@@ -144,7 +144,7 @@ class Prepared(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def _prepared(source: str, detector: str, side_m: float | None, population: str, kept: tuple[Any, ...]) -> Prepared:
+def _prepare(source: str, detector: str, side_m: float | None, population: str, kept: tuple[Any, ...]) -> Setup:
     scenario, settings, why = load_scenario(source), dict[str, Any](), ""
     files = {path.name: path for path, _ in kept if path.name != scenario.sensor}  # whose own lies beside it
     origins = Origins(resolve=lambda name: files.get(name) or resolve(name, scenario.folder))
@@ -167,9 +167,9 @@ def _prepared(source: str, detector: str, side_m: float | None, population: str,
     except UsageError as error:
         why, world = error.what, read_world(with_settings(scenario, settings), origins)
     scene = scenario.scene
-    return Prepared(
+    return Setup(
         world.stated.scenario, world, settings,
-        {offer.key: offer for offer in _offers(world) if not (why and offer.key.startswith("atmosphere."))},
+        {offer.key: offer for offer in _trade_inputs(world) if not (why and offer.key.startswith("atmosphere."))},
         targets=tuple(p.name for t in scene.targets for p in t.populations),
         surfaces=tuple(s.name for s in (*scene.classes, *scene.panels)) if scenario.atmosphere else (),
         backgrounds=tuple(c.name for c in scene.classes),
@@ -178,15 +178,15 @@ def _prepared(source: str, detector: str, side_m: float | None, population: str,
     )  # fmt: skip
 
 
-def prepare(source: str, trade: Trade) -> Prepared:
+def prepare(source: str, trade: Trade) -> Setup:
     """A scenario by name or file, read once for what is asked of it."""
     kept = tuple((path, path.stat().st_mtime_ns) for path in trade.kept)
-    return _prepared(source, trade.detector, trade.side_m, trade.subject[0] if trade.subject else "", kept)
+    return _prepare(source, trade.detector, trade.side_m, trade.subject[0] if trade.subject else "", kept)
 
 
-def _offers(world: World) -> Iterator[Offer]:
+def _trade_inputs(world: World) -> Iterator[TradeInput]:
     known_paths, state = every_path(world), world.stated.scenario.atmosphere
-    for row in (Offer(group=group, **row) for group, rows in OFFERED["inputs"].items() for row in rows):
+    for row in (TradeInput(group=group, **row) for group, rows in OFFERED["inputs"].items() for row in rows):
         paths = [path for path in known_paths if fits(row.path, path)]
         if not paths and "now" in row.model_fields_set and (state is not None or row.path == plan.PFA):
             paths = [row.path]
@@ -203,8 +203,8 @@ def _offers(world: World) -> Iterator[Offer]:
             yield row.model_copy(update={**stated, "low": low, "high": high, "now": value, "paths": members})
 
 
-def complete(trade: Trade, p: Prepared) -> Trade:
-    """What is asked, with all that was left open filled in.
+def complete(trade: Trade, p: Setup) -> Trade:
+    """The trade with every field that was left open filled in.
 
     >>> complete(Trade(moved={"atmosphere.meteorological_range_km": 5.0}), prepare("yellow-planks-asphalt", Trade()))
     Traceback (most recent call last):
@@ -218,8 +218,8 @@ def complete(trade: Trade, p: Prepared) -> Trade:
     >>> at |= dict.fromkeys(("solar_zenith_deg", "solar_azimuth_deg", "day_of_year"))
     >>> lit = load_scenario("panels").with_values({f"atmosphere.{key}": value for key, value in at.items()})
     >>> world = plan.read_world(lit)
-    >>> plan.try_changes(world, {"atmosphere.solar_zenith_deg": 35.0, "atmosphere.view_zenith_deg": -5.0,  # past nadir
-    ...                          "sensor.gain": np.int64(1)})  # place and time give way
+    >>> angles = {"atmosphere.solar_zenith_deg": 35.0, "atmosphere.view_zenith_deg": -5.0}  # past nadir
+    >>> plan.check_changes(world, {**angles, "sensor.gain": np.int64(1)})  # place and time give way
 
     Raises
     ------
@@ -243,7 +243,7 @@ def complete(trade: Trade, p: Prepared) -> Trade:
     filled: dict[str, Any] = {"x": x, "subject": subject}
     for field, key in (("x", x), ("y", trade.y)):
         if key:
-            low, high = p.inputs[key].ends(getattr(trade, f"{field}_from"), getattr(trade, f"{field}_to"))
+            low, high = p.inputs[key].limits(getattr(trade, f"{field}_from"), getattr(trade, f"{field}_to"))
             refuse(not low < high, "trade.ends", f"{field}_to", high=high, low=low)
             refuse(p.inputs[key].spacing == "log" and low <= 0.0, "trade.log", f"{field}_from")
             filled |= {f"{field}_from": low, f"{field}_to": high}
@@ -257,14 +257,14 @@ def complete(trade: Trade, p: Prepared) -> Trade:
     return trade.model_copy(update=filled)
 
 
-def _check(p: Prepared, where: str, key: str, value: float, is_emulated: bool = False) -> None:
+def _check(p: Setup, where: str, key: str, value: float, is_emulated: bool = False) -> None:
     """Refuse a value that the scenario does not take, or at which the atmosphere is not emulated, in its own unit.
 
     ``is_emulated`` : whether the state of all moved values, which is asked for anyway, is known to be
     """
     offer, inside, outside, name = p.inputs[key], p.inputs[key].now, value, key.partition(".")[2]
     try:
-        plan.try_changes(p.world, dict.fromkeys(offer.paths, value))
+        plan.check_changes(p.world, dict.fromkeys(offer.paths, value))
     except UsageError as error:
         raise UsageError(
             f"{offer.with_unit(value)}: {error.what.rpartition(': ')[2]}", where=where, expected=error.expected
@@ -279,26 +279,26 @@ def _check(p: Prepared, where: str, key: str, value: float, is_emulated: bool = 
         raise refusal("trade.emulated", where, value=offer.with_unit(value), limit=limit)
 
 
-def _is_emulated(p: Prepared, state: Mapping[str, float]) -> bool:
+def _is_emulated(p: Setup, state: Mapping[str, float]) -> bool:
     with suppress(UsageError):
         return bool(p.world.stated.atmosphere.run(state))
     return False
 
 
-def _initial_input(p: Prepared, target: str) -> str:
+def _initial_input(p: Setup, target: str) -> str:
     """The initial input: the first slider; of a target its own fill or GSD."""
     sliders = [offer for offer in p.inputs.values() if offer.slider]
     of_target = [o for o in sliders if target and any(target in path for path in o.paths)]
     return next((o.key for o in (*of_target, *sliders) if o in of_target or o.group != "Target"), "")
 
 
-def moves_of(offer: Offer, trade: Trade) -> list[Move]:
+def selected_moves(offer: TradeInput, trade: Trade) -> list[Move]:
     """What an input moves: of several targets together, those that are asked for."""
     asked = tuple(path for path in offer.paths if any(f"[{name}]" in path for name in trade.subject))
     return [Move(path=path) for path in (asked if len(offer.paths) > 1 and asked else offer.paths)]
 
 
-def outputs_of(trade: Trade) -> list[Output]:
+def trade_outputs(trade: Trade) -> list[Output]:
     """The output of each subject."""
     label = KINDS[trade.output]
     asked: dict[str, Any] = {"kind": trade.output}
@@ -313,8 +313,8 @@ def outputs_of(trade: Trade) -> list[Output]:
     return [Output(name=name, subject=subject, label=f"{label}, {subject}", **asked) for name, subject in both]
 
 
-def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -> StudyFile:
-    """The study that asks the same: its table holds the numbers of the page.
+def trade_study(p: Setup, trade: Trade, scenario: str, *, exact: bool = False) -> StudyFile:
+    """The study of the same question: its table holds the numbers of the page.
 
     Parameters
     ----------
@@ -324,8 +324,8 @@ def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -
     Examples
     --------
     >>> p = prepare("yellow-planks-asphalt", Trade())
-    >>> every = [study_of(p, complete(Trade(x=key, wanted=0.5), p), "yellow-planks-asphalt") for key in p.inputs]
-    >>> all(study.required[0].targets == study.inputs[-1].targets for study in every)
+    >>> every = [trade_study(p, complete(Trade(x=key, wanted=0.5), p), "yellow-planks-asphalt") for key in p.inputs]
+    >>> all(study.required[0].entries == study.inputs[-1].entries for study in every)
     True
     >>> [i.grid.stop for study in every for i in study.inputs if i.name == "tail_dof"]
     [100.0, 100.0, 100.0]
@@ -333,10 +333,10 @@ def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -
     axes = [_axis_input(p, trade, field) for field in ("y", "x") if getattr(trade, field)]
     overlays = _overlays(p, trade)
     settings = {path: value for path, value in p.settings.items() if not (exact and path == "atmosphere.engine")}
-    settings |= plan.as_entries(p.scenario, _constants(p, trade))
+    settings |= plan.file_entries(p.scenario, _slider_values(p, trade))
     of_sky = sum(key.startswith("atmosphere.") for key in (trade.x, trade.y))
     atmosphere: dict[str, Any] = {"above": 1, "nodes": 7 if of_sky < 2 else 5} if exact else {"above": 400}
-    outputs, asked = outputs_of(trade), _questions(p, trade)
+    outputs, asked = trade_outputs(trade), _required_inputs(p, trade)
     more: dict[str, Any] = {"kind": "heat", "y": axes[0].name} if trade.y else {"kind": "lines"}
     more |= {"family": overlays[0].name} if overlays and not trade.y else {}
     inputs, scale = [*overlays, *axes], p.inputs[trade.x].spacing
@@ -349,19 +349,19 @@ def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -
     return StudyFile.model_validate(data)
 
 
-def _axis_input(p: Prepared, trade: Trade, field: str) -> Input:
+def _axis_input(p: Setup, trade: Trade, field: str) -> Input:
     """The input along an axis, over the values at which a curve or map is drawn."""
     offer = p.inputs[getattr(trade, field)]
     grid = Grid(
         start=getattr(trade, f"{field}_from"), stop=getattr(trade, f"{field}_to"),
         count=MAP_POINTS if trade.y else POINTS, spacing=offer.spacing,
     )  # fmt: skip
-    moves = moves_of(offer, trade)
+    moves = selected_moves(offer, trade)
     where: dict[str, Any] = {"path": moves[0].path} if len(moves) == 1 else {"moves": moves}
     return Input(name=offer.column + "-y" * (field == "y"), label=offer.name, unit=offer.unit, grid=grid, **where)
 
 
-def _overlays(p: Prepared, trade: Trade) -> list[Input]:
+def _overlays(p: Setup, trade: Trade) -> list[Input]:
     """Inputs whose values are curves over each other: backgrounds of the targets, and sensors."""
     out = []
     if trade.background and not trade.is_spectral:
@@ -373,32 +373,32 @@ def _overlays(p: Prepared, trade: Trade) -> list[Input]:
     return out
 
 
-def _constants(p: Prepared, trade: Trade) -> dict[str, float]:
+def _slider_values(p: Setup, trade: Trade) -> dict[str, float]:
     """Path -> value of what sliders moved and no axis moves."""
     keys = [key for key in trade.moved if key not in (trade.x, trade.y, plan.PFA)]
-    return {move.path: trade.moved[key] for key in keys for move in moves_of(p.inputs[key], trade)}
+    return {move.path: trade.moved[key] for key in keys for move in selected_moves(p.inputs[key], trade)}
 
 
-def _world(p: Prepared, trade: Trade) -> World:
+def _world(p: Setup, trade: Trade) -> World:
     """The world where sliders stand that no axis moves."""
-    return with_values(p.world, {path: [value] for path, value in _constants(p, trade).items()})
+    return with_values(p.world, {path: [value] for path, value in _slider_values(p, trade).items()})
 
 
-def _families(p: Prepared, trade: Trade) -> tuple[dict[str, Any], list[str]]:
+def _families(p: Setup, trade: Trade) -> tuple[dict[str, Any], list[str]]:
     """Columns of overlaid backgrounds and sensors, a row for each family, and the names of its curves.
 
     Curves run by family and subject, subjects within.
     """
     inputs = _overlays(p, trade)
     rows = list(product(*(i.values or [] for i in inputs)))
-    columns = plan.moved(inputs, {i.name: column_of([row[k] for row in rows]) for k, i in enumerate(inputs)})
+    columns = plan.path_values(inputs, {i.name: column_of([row[k] for row in rows]) for k, i in enumerate(inputs)})
     names = [", ".join(str(row[k]) for k, i in enumerate(inputs) if len(i.values or []) > 1) for row in rows]
     several = len(trade.subject) > 1
     labels = [", ".join(filter(None, (s if several or not n else "", n))) for n in names for s in trade.subject]
     return columns or {"line.offset": np.zeros(1)}, labels
 
 
-def _evaluated(trade: Trade, stride: int) -> Mask:
+def _evaluated_mask(trade: Trade, stride: int) -> Mask:
     """Mask (n,) of the points, or flattened (y, x), that are evaluated at a stride."""
     coarse = np.arange(MAP_POINTS if trade.y else POINTS) % stride == 0
     return np.outer(coarse, coarse).ravel() if trade.y else coarse
@@ -424,10 +424,11 @@ class Progress(NamedTuple):
     remarks: Mapping[int, str] = {}
 
     @property
-    def said(self) -> list[str]:
+    def messages(self) -> list[str]:
         """What each curve needs, and what is to be said of points: of the one of which there is most to say.
 
-        >>> Progress(np.zeros((1, 3, 1)), np.zeros(0), ((0.2, "x = 0.2"),), "", 0, {1: "no", 2: "no, nor here"}).said
+        >>> remarks = {1: "no", 2: "no, nor here"}
+        >>> Progress(np.zeros((1, 3, 1)), np.zeros(0), ((0.2, "x = 0.2"),), "", 0, remarks).messages
         ['x = 0.2', 'no, nor here (2 of 3 points, this one the most)']
         """
         points = f" ({len(self.remarks)} of {self.values[..., 0].size} points, this one the most)"
@@ -438,53 +439,53 @@ class Progress(NamedTuple):
 def next_piece(source: str, trade: Trade, before: Progress | None = None) -> Progress:
     """The next piece: points twice as dense as before, what is required with the last of them; limits of a family."""
     p = prepare(source, trade)
-    study, (columns, labels) = study_of(p, trade, source), _families(p, trade)
+    study, (columns, labels) = trade_study(p, trade, source), _families(p, trade)
     families, subjects, along = len(labels) // len(trade.subject), len(trade.subject), study.inputs[-1]
     steps: list[tuple[str, int]] = [("points", stride) for stride in _STRIDES]
     steps += [("limits", i) for i in range(families) if not trade.y and trade.output != "auc"]
-    blank = np.full((families, _evaluated(trade, 1).size, subjects), np.nan)
+    blank = np.full((families, _evaluated_mask(trade, 1).size, subjects), np.nan)
     before = before or Progress(blank, np.stack([blank, blank], axis=-1), (), "", len(steps))
     values, limits, needed, remarks = before.values.copy(), before.limits.copy(), before.needed, {**before.remarks}
     what, step = steps[-before.todo]
     if what == "points":
-        new = _evaluated(trade, step) & ~(_evaluated(trade, 2 * step) if before.figure else np.False_)
+        new = _evaluated_mask(trade, step) & ~(_evaluated_mask(trade, 2 * step) if before.figure else np.False_)
         rows = np.flatnonzero(np.tile(new, families))
-        part = {path: column[rows] for path, column in plan.moved(study.inputs, plan.input_values(study)).items()}
+        part = {path: column[rows] for path, column in plan.path_values(study.inputs, plan.input_values(study)).items()}
         values.reshape(-1, subjects)[rows], notes = plan.output_values(_world(p, trade), part, study.outputs)
         remarks |= {int(rows[i]): words for i, words in notes.items()}
-        needed = _required(p, trade, study) if trade.wanted is not None and step == _STRIDES[-1] else ()
+        needed = _solutions(p, trade, study) if trade.wanted is not None and step == _STRIDES[-1] else ()
     else:
         limits[step] = _limits(p, trade, along, {path: column[step] for path, column in columns.items()}, values[step])
     stride = step if what == "points" else _STRIDES[-1]
     drawn = _map(p, trade, study, values, stride) if trade.y else _curves(p, trade, along, values, limits, labels)
-    return Progress(values, limits, needed, statement(drawn), before.todo - 1, remarks)
+    return Progress(values, limits, needed, figure_json(drawn), before.todo - 1, remarks)
 
 
-def _questions(p: Prepared, trade: Trade) -> list[Required]:
+def _required_inputs(p: Setup, trade: Trade) -> list[Required]:
     """At which value of x each output comes to what is wanted, where that is asked; y stands where its slider does.
 
     >>> p, asphalt = prepare("yellow-planks-asphalt", Trade()), "surfaces.[asphalt]."
     >>> asked = (complete(Trade(y=asphalt + name, wanted=0.5), p) for name in ("spread", "tail_dof"))
-    >>> [[move.offset for move in _questions(p, trade)[0].targets[1:]] for trade in asked]  # no tail is no number
+    >>> [[move.offset for move in _required_inputs(p, trade)[0].entries[1:]] for trade in asked]  # no tail is no number
     [[1.0], []]
     """
-    offer, moves = p.inputs[trade.x], moves_of(p.inputs[trade.x], trade)
+    offer, moves = p.inputs[trade.x], selected_moves(p.inputs[trade.x], trade)
     if trade.y and math.isfinite(now := _current_value(p, trade, trade.y)):
-        moves += [Move(path=move.path, factor=0.0, offset=now) for move in moves_of(p.inputs[trade.y], trade)]
+        moves += [Move(path=move.path, factor=0.0, offset=now) for move in selected_moves(p.inputs[trade.y], trade)]
     return [
         Required(
             name=f"required-{o.name}", label=f"{offer.name} for {o.label} = {trade.wanted:g}", unit=offer.unit,
             between=(trade.x_from or 0.0, trade.x_to or 1.0), scan=_SCAN, output=o.name,
             spacing=offer.spacing, equals=trade.wanted, moves=moves,
-        ) for o in outputs_of(trade) if trade.wanted is not None
+        ) for o in trade_outputs(trade) if trade.wanted is not None
     ]  # fmt: skip
 
 
-def _required(p: Prepared, trade: Trade, study: StudyFile) -> tuple[tuple[float, str], ...]:
+def _solutions(p: Setup, trade: Trade, study: StudyFile) -> tuple[tuple[float, str], ...]:
     """The value of x at which the output of each curve comes to what is wanted, and in words.
 
     >>> trade = complete(Trade(wanted=2.0), p := prepare("yellow-planks-asphalt", Trade()))
-    >>> _required(p, trade, study_of(p, trade, ""))[0][1]
+    >>> _solutions(p, trade, trade_study(p, trade, ""))[0][1]
     'not reached in this range: probability of detection P_D stays below 2; the nearest is 1 at 0.2'
     """
     columns, labels = _families(p, trade)
@@ -502,17 +503,17 @@ def _required(p: Prepared, trade: Trade, study: StudyFile) -> tuple[tuple[float,
     return tuple(needed)
 
 
-def _limits_in(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) -> Array:
+def _truth_limits(p: Setup, trade: Trade, truth: Mapping[str, Any], pfa: Array) -> Array:
     """(subjects, n, 2) 95 % limits in one truth, NaN where they are no interval.
 
     Of P_D at P_FA (n,); of a spectrum's mean over its bands, where n is 1.
     """
-    truth = {**_constants(p, trade), **truth}
+    truth = {**_slider_values(p, trade), **truth}
     products = predict(p.scenario, p.world.stated.origins, truth=truth, object_curves=False)
     out = np.full((len(trade.subject), pfa.size, 2), np.nan)
-    for k, o in enumerate(outputs_of(trade)):
+    for k, o in enumerate(trade_outputs(trade)):
         if trade.is_spectral:
-            spectrum, bands = getattr(products, trade.output)[o.subject], plan.bands_of(o, products.axis)
+            spectrum, bands = getattr(products, trade.output)[o.subject], plan.output_bands(o, products.axis)
             sd = math.sqrt(max(float(spectrum.error_covariance[np.ix_(bands, bands)].mean()), 0.0))
             if sd > 0.0:
                 out[k] = float(spectrum.mean[bands].mean()) + np.array([-Z95, Z95]) * sd
@@ -523,17 +524,17 @@ def _limits_in(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) 
     return out
 
 
-def _limits(p: Prepared, trade: Trade, along: Input, family: Mapping[str, Any], values: Array) -> Array:
+def _limits(p: Setup, trade: Trade, along: Input, family: Mapping[str, Any], values: Array) -> Array:
     """(K, O, 2) limits of values (K, O) along x, predicted at some of them and between them as the curve runs."""
     _, x = _axis(along)
     if trade.x == plan.PFA:
-        return np.moveaxis(_limits_in(p, trade, family, x), 0, 1)
+        return np.moveaxis(_truth_limits(p, trade, family, x), 0, 1)
     nodes, top = np.linspace(0, x.size - 1, _LIMITS_AT).round().astype(int), np.inf if trade.is_spectral else 1.0
     ends = np.full((nodes.size, len(trade.subject) * 2), np.nan)  # from the values
     for i, k in enumerate(nodes):
-        truth = {**family, **{move.path: float(x[k]) for move in along.targets}}
+        truth = {**family, **{move.path: float(x[k]) for move in along.entries}}
         with suppress(UsageError):  # that the value is not taken is seen in the curve
-            ends[i] = (_limits_in(p, trade, truth, np.array([trade.pfa]))[:, 0] - values[k][:, None]).ravel()
+            ends[i] = (_truth_limits(p, trade, truth, np.array([trade.pfa]))[:, 0] - values[k][:, None]).ravel()
             if np.isnan(ends[i]).all():
                 break
     limits = np.stack([np.interp(np.arange(x.size), nodes, column) for column in ends.T], axis=1)
@@ -544,15 +545,15 @@ def _axis(along: Input) -> tuple[Axis, Array]:
     """An axis, and the values along it."""
     assert along.grid is not None  # noqa: S101 - an axis has one
     ends = along.grid.start, along.grid.stop
-    return Axis(along.words, along.grid.spacing, ends=ends), np.asarray(along.listed, float)
+    return Axis(along.title, along.grid.spacing, ends=ends), np.asarray(along.listed_values, float)
 
 
-def _current_value(p: Prepared, trade: Trade, key: str) -> float:
+def _current_value(p: Setup, trade: Trade, key: str) -> float:
     """Where an input stands; NaN where the scenario does not state it."""
     return trade.pfa if key == plan.PFA else trade.moved.get(key, p.inputs[key].now)
 
 
-def _present(p: Prepared, trade: Trade, field: Literal["x", "y"] = "x") -> Rules:
+def _current_rule(p: Setup, trade: Trade, field: Literal["x", "y"] = "x") -> Rules:
     """A rule at the present value of an input, where it lies on its axis."""
     now = _current_value(p, trade, getattr(trade, field))
     return ((field, now),) if getattr(trade, f"{field}_from") <= now <= getattr(trade, f"{field}_to") else ()
@@ -563,7 +564,7 @@ def _y_axis(trade: Trade) -> Axis:
     return Axis(KINDS[trade.output] + unit, ends=None if trade.is_spectral else (-0.03, 1.03))
 
 
-def _lines(labels: Sequence[str], lines: Sequence[tuple[Array, Array]], bands: Array) -> tuple[Mark, ...]:
+def _line_marks(labels: Sequence[str], lines: Sequence[tuple[Array, Array]], bands: Array) -> tuple[Mark, ...]:
     """Curves (x, y) with their limits (K, 2) where there are some; beyond six colours another dash."""
     marks = []
     for k, (label, (x, y)) in enumerate(zip(labels, lines, strict=True)):
@@ -576,16 +577,16 @@ def _lines(labels: Sequence[str], lines: Sequence[tuple[Array, Array]], bands: A
     return tuple(marks)
 
 
-def _curves(p: Prepared, trade: Trade, along: Input, values: Array, limits: Array, labels: Sequence[str]) -> Figure:
+def _curves(p: Setup, trade: Trade, along: Input, values: Array, limits: Array, labels: Sequence[str]) -> Figure:
     axis, x = _axis(along)
     lines = [(x, line) for line in np.moveaxis(values, 1, 2).reshape(-1, x.size)]
-    marks = _lines(labels, lines, np.moveaxis(limits, 1, 2).reshape(-1, x.size, 2))
-    rules = _present(p, trade) + ((("y", trade.wanted),) if trade.wanted is not None else ())
+    marks = _line_marks(labels, lines, np.moveaxis(limits, 1, 2).reshape(-1, x.size, 2))
+    rules = _current_rule(p, trade) + ((("y", trade.wanted),) if trade.wanted is not None else ())
     view = Panels(axis, (Part(_y_axis(trade), marks, rules),))
     return Figure("trade", "study", f"{KINDS[trade.output]} against {axis.label}", (view,))
 
 
-def _map(p: Prepared, trade: Trade, study: StudyFile, values: Array, stride: int) -> Figure:
+def _map(p: Setup, trade: Trade, study: StudyFile, values: Array, stride: int) -> Figure:
     """The map of the first curve, which stands above it.
 
     >>> asked = {"y": "atmosphere.solar_zenith_deg", "sensor": ["prospectir-vs", "emit"]}
@@ -598,7 +599,7 @@ def _map(p: Prepared, trade: Trade, study: StudyFile, values: Array, stride: int
     edges = [cell_edges(v[::stride], axis.scale == "log") for axis, v in ((x_axis, x), (y_axis, y))]
     rows, columns = np.nonzero(np.isfinite(grid))
     mark = heat_mark(edges, (columns, rows), grid[rows, columns], KINDS[trade.output])
-    part = Part(y_axis, (mark,), _present(p, trade) + _present(p, trade, "y"))
+    part = Part(y_axis, (mark,), _current_rule(p, trade) + _current_rule(p, trade, "y"))
     note = ", ".join(dict.fromkeys((trade.subject[0], *_families(p, trade)[1][0].split(", "))))
     title = f"{KINDS[trade.output]}, {note}"
     return Figure("trade", "study", title, (Panels(x_axis, (part,), note=note),), legend_title=title)
@@ -623,21 +624,21 @@ def live_figure(source: str, trade: Trade, with_limits: bool = False) -> dict[st
     """
     p = prepare(source, trade)
     trade = trade.model_copy(update={"x": "", "y": ""})
-    (columns, labels), outputs, world = _families(p, trade), outputs_of(trade), _world(p, trade)
+    (columns, labels), outputs, world = _families(p, trade), trade_outputs(trade), _world(p, trade)
     lines, values = [(np.empty(0), np.empty(0))] * len(labels), [math.nan] * len(labels)
-    bands, remarks, several = np.full((len(labels), _ROC.size, 2), np.nan), {_error(p, trade): None}, len(outputs)
+    bands, remarks, several = np.full((len(labels), _ROC.size, 2), np.nan), {_accuracy(p, trade): None}, len(outputs)
     for first in range(0, len(labels), several):  # families one by one: where one has no curves, others have
         truth = {path: column[first // several] for path, column in columns.items()}
         try:
             ((_, e),) = evaluations(with_truths(world, [truth]))
             for k, o in enumerate(outputs, first):
-                values[k] = float(plan.of_truths(e, o, None)[0])
+                values[k] = float(plan.evaluate_output(e, o, None)[0])
                 if trade.is_spectral:
                     lines[k] = e.axis.centre_nm, (e.snr if trade.output == "snr" else e.radiance)(o.subject)[0]
                 else:
                     lines[k] = _ROC, e.scores(o.subject, p.scenario.processing.detectors[0]).detection(_ROC[None, :])[0]
             if with_limits and not trade.is_spectral:
-                bands[first : first + several] = _limits_in(p, trade, truth, _ROC)
+                bands[first : first + several] = _truth_limits(p, trade, truth, _ROC)
             problems = plan.saturation(e) | e.problems
         except UsageError as error:
             if len(labels) == several:
@@ -645,23 +646,23 @@ def live_figure(source: str, trade: Trade, with_limits: bool = False) -> dict[st
             problems = {0: error}
         names = f"{' and '.join(labels[first : first + several])}: " if len(labels) > several else ""
         remarks |= dict.fromkeys(f"{names}{' '.join(str(words).split())}." for words in problems.values())
-    marks = _lines(labels, lines, bands)
+    marks = _line_marks(labels, lines, bands)
     named = tuple((label, v if math.isfinite(v) else None) for label, v in zip(labels, values, strict=True))
     x, y, rules = Axis(WAVELENGTH), _y_axis(trade), Rules()
     if not trade.is_spectral:
         x, y = Axis("probability of false alarm P_FA", "log", ends=(1e-6, 1.0)), Axis("P_D", ends=(-0.03, 1.03))
         rules = (("x", trade.pfa),)
     figure = Figure("live", "roc", "", (Panels(x, (Part(y, marks, rules),)),))
-    return {"figure": statement(figure), "values": named, "error": " ".join(remarks)}
+    return {"figure": figure_json(figure), "values": named, "error": " ".join(remarks)}
 
 
-def _error(p: Prepared, trade: Trade) -> str:
+def _accuracy(p: Setup, trade: Trade) -> str:
     """How far the emulated atmosphere may be from that of the engine, in words."""
     if p.scenario.atmosphere is None:
         return "The scenario has no atmosphere."
     if p.why:
         return f"The atmosphere is that of the engine, and fixed: {p.why}."
-    sky = {k.partition(".")[2]: v for k, v in _constants(p, trade).items() if k.startswith("atmosphere.")}
+    sky = {k.partition(".")[2]: v for k, v in _slider_values(p, trade).items() if k.startswith("atmosphere.")}
     terms = p.world.stated.atmosphere.run(sky)
     if terms.path_uncertainty is None:
         return ""

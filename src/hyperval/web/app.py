@@ -22,7 +22,7 @@ from hyperval.executors import TaskPool
 from hyperval.web import predictions, runs, uploads  # noqa: F401  (their routes)
 from hyperval.web.guard import Guard
 from hyperval.web.pages import api, page, pages
-from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, problems, said
+from hyperval.web.refusal import FieldMistake, Refused, error_text, json_error, mistakes_of
 from hyperval.web.store import Runs, ServerSettings
 
 
@@ -86,7 +86,7 @@ def _error_response(request: Request, error: Exception) -> Response:
             replace(m, field="body" if unread else re.sub(r"^\w+\.", "", m.field)) for m in mistakes_of(error.errors())
         ]
     elif isinstance(error, HypervalError):
-        status, mistakes = 422 if error.exit_code in (2, 3) else 500, [FieldMistake("", said(error))]
+        status, mistakes = 422 if error.exit_code in (2, 3) else 500, [FieldMistake("", error_text(error))]
     if request.url.path.startswith("/api/"):
         if status == 405:  # a router names the methods of one of its routes only
             methods = (getattr(r, "methods", ()) for r in api.routes if r.matches(request.scope)[0] is not Match.NONE)
@@ -95,4 +95,4 @@ def _error_response(request: Request, error: Exception) -> Response:
         response = page(request, "error.html.j2", status=status, mistakes=mistakes, code=status)
         response.headers.update(headers)
         return response
-    return problems(status, mistakes, headers)
+    return json_error(status, mistakes, headers)

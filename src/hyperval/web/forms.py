@@ -25,7 +25,7 @@ from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load
 from hyperval.sensor.specification import library_names
 from hyperval.statistics_library import BUILTIN_NAMES
 from hyperval.study.schema import StudyFile
-from hyperval.web.refusal import MOST_MISTAKES, FieldMistake, Refused, deny, for_pages, mistakes_of
+from hyperval.web.refusal import MOST_MISTAKES, FieldMistake, Refused, deny, mistakes_of, redact
 
 Schema = Mapping[str, Any]
 Given = Mapping[str, list[str]]  # name of a field -> what stands in it
@@ -77,24 +77,24 @@ class Node:
     chosen: int = 0
 
     @property
-    def taken(self) -> tuple[Node, ...]:
+    def active_children(self) -> tuple[Node, ...]:
         """The children that count: of variants the chosen one alone."""
         return self.children[self.chosen - 1 : self.chosen] if self.kind == "variants" else self.children
 
     @property
     def changes(self) -> int:
         """Values in it that are not those that the form began with."""
-        return sum(child.changes for child in self.taken) or int(self.is_changed)
+        return sum(child.changes for child in self.active_children) or int(self.is_changed)
 
     @property
-    def gist(self) -> str:
-        """What is given in a part that is folded, in a few words."""
-        stated = [f"{n.title} {', '.join(n.value) if n.kind == 'several' else n.value}" for n in self._filled_in()]
+    def summary(self) -> str:
+        """The values given in a folded part, in a few words."""
+        stated = [f"{n.title} {', '.join(n.value) if n.kind == 'several' else n.value}" for n in self._filled_nodes()]
         return "; ".join(stated[:_MOST_MARKED]) + (" ..." if len(stated) > _MOST_MARKED else "")
 
-    def _filled_in(self) -> Iterator[Node]:
-        for child in self.taken:
-            yield from child._filled_in()
+    def _filled_nodes(self) -> Iterator[Node]:
+        for child in self.active_children:
+            yield from child._filled_nodes()
         if self.value and not self.path.endswith(".name"):
             yield self
 
@@ -160,7 +160,7 @@ def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool = F
     'with relative standard deviation; blank: not aerosol optical depth'
     """
     members = _members(schema)
-    kinds = [_kind(m, path) for m in members]
+    kinds = [_field_kind(m, path) for m in members]
     about = schema.get("description") or (members[0].get("description") if kinds == ["group"] else "")
     hint = re.sub(r"\b(?:null|None)(?=:| or )", "blank", str(about or "").split("\n\n", 1)[0].replace("\n", " "))
     hint = re.sub(r"\w+", lambda word: _TITLES.get(word[0], word[0]), hint)
@@ -171,7 +171,7 @@ def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool = F
         is_shown = is_main or any(child.is_shown for child in children)
         return replace(node, children=children, is_shown=is_shown, is_open=bool(value or is_needed) and _is_open(path))
     if "group" in kinds:
-        chosen, earlier = (_chosen(members, kinds, one) for one in (value, begun))
+        chosen, earlier = (_matching_member(members, kinds, one) for one in (value, begun))
         variants = list[Node]()
         for number, (member, kind) in enumerate(zip(members, kinds, strict=True), start=1):
             held, was = value if number == chosen else None, begun if number == earlier else None
@@ -187,7 +187,7 @@ def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool = F
     kind = kinds[0] if len(kinds) == 1 else "yaml" if "yaml" in kinds else "text"
     stated = (str(c) for m in members for c in m.get("enum", [m["const"]] if "const" in m else []))
     choices = _choices(path) or tuple(stated)
-    text: Any = "" if value is None else _text(value)
+    text: Any = "" if value is None else _field_text(value)
     if kind == "several":
         text = [str(v) for v in value] if isinstance(value, list | tuple) else []
     elif kind == "choice" and text and text not in choices:
@@ -196,7 +196,7 @@ def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool = F
     return replace(
         node, kind=kind, value=text, choices=choices, unit=schema.get("unit", ""),
         limits=next((words for m in members if kind != "several" and (words := _limits(m))), ""),
-        default="" if default is None or isinstance(default, dict) else _text(default),
+        default="" if default is None or isinstance(default, dict) else _field_text(default),
         # Where nothing is said a form cannot tell it from a field that is left alone.
         is_changed=value != begun and not all(one in (None, "", [], (), {}) for one in (value, begun)),
     )  # fmt: skip
@@ -218,24 +218,24 @@ def form_data(texts: Given, schema: Schema = _SCHEMA, path: str = "") -> dict[st
 
 
 def _read(members: list[Schema], path: str, texts: Given) -> Any:
-    kinds = [_kind(m, path) for m in members]
+    kinds = [_field_kind(m, path) for m in members]
     if kinds == ["group"]:
         return form_data(texts, members[0], path) or None
     if "group" in kinds:
-        number = _count(texts, f"{path}?", len(members))
+        number = _row_count(texts, f"{path}?", len(members))
         if number and kinds[number - 1] == "group":  # which counts where nothing stands in it, too
             return form_data(texts, members[number - 1], path)
         return _read([members[number - 1]], path, texts) if number else None
     is_list = f"{path}#" in texts
     if kinds == ["rows"]:
         item = _members(members[0]["items"])[0]
-        places = [f"{path}.{i}" for i in range(_count(texts, f"{path}#", MOST_ROWS))]
+        places = [f"{path}.{i}" for i in range(_row_count(texts, f"{path}#", MOST_ROWS))]
         rows = [form_data(texts, item, place) for place in places if f"{place}!" not in texts]
         return rows if is_list else None
     values = [v.strip() for v in texts.get(path, []) if v.strip()]
     if kinds == ["several"]:
         return values or ([] if is_list else None)
-    return _value(values[0], kinds) if values else None
+    return _parse_value(values[0], kinds) if values else None
 
 
 def _is_open(path: str) -> bool:
@@ -248,7 +248,7 @@ def _choices(path: str) -> tuple[str, ...]:
     return _NAMED.get(path, SURFACES if path.endswith(".builtin") else ())
 
 
-def _kind(schema: Schema, path: str) -> str:
+def _field_kind(schema: Schema, path: str) -> str:
     """The kind of field that a schema asks for at a path."""
     kind, is_named = schema.get("type"), bool(_choices(path))
     if "enum" in schema or "const" in schema:
@@ -260,16 +260,16 @@ def _kind(schema: Schema, path: str) -> str:
     return {"number": "number", "integer": "number", "boolean": "flag"}.get(str(kind), "choice" if is_named else "text")
 
 
-def _text(value: Any) -> str:
+def _field_text(value: Any) -> str:
     """A value as it stands in its field."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
         return f"{value:g}" if float(f"{value:g}") == value else repr(value)
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_text, value)) + "]"
+        return "[" + ", ".join(map(_field_text, value)) + "]"
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{k}: {_text(v)}" for k, v in value.items()) + "}"
+        return "{" + ", ".join(f"{k}: {_field_text(v)}" for k, v in value.items()) + "}"
     return str(value)
 
 
@@ -286,7 +286,7 @@ def _limits(schema: Schema) -> str:
     return ", ".join(f"{text} {schema[key]:g}" for key, text in words.items() if key in schema)
 
 
-def _chosen(members: list[Schema], kinds: list[str], value: Any) -> int:
+def _matching_member(members: list[Schema], kinds: list[str], value: Any) -> int:
     """Number of the first member that a value may be one of, from 1; 0 where there is none."""
     keys = set(value) if isinstance(value, Mapping) else None
     for number, (member, kind) in enumerate(zip(members, kinds, strict=True), start=1):
@@ -296,7 +296,7 @@ def _chosen(members: list[Schema], kinds: list[str], value: Any) -> int:
     return 0
 
 
-def _value(text: str, kinds: list[str]) -> Any:
+def _parse_value(text: str, kinds: list[str]) -> Any:
     if "yaml" in kinds:
         with suppress(UsageError):  # what cannot be read is text, and refused at its field by the model
             return parse_yaml(text)[0]
@@ -307,7 +307,7 @@ def _value(text: str, kinds: list[str]) -> Any:
     return text
 
 
-def _count(texts: Given, name: str, most: int) -> int:
+def _row_count(texts: Given, name: str, most: int) -> int:
     text = texts.get(name, ["0"])[0]
     return min(int(text), most) if text.isdecimal() and len(text) < 6 else 0
 
@@ -327,7 +327,7 @@ def needs(source: object) -> dict[str, str]:
     for name in sorted(set(re.findall(r"data:([\w-]+)/", str(source))) & registry().keys()):
         entry = registry()[name]
         if missing(name) if entry.public else not files_at_hand(name):
-            lacking[name] = f"hyperval data fetch {name}" if entry.public else for_pages(how_to_get(entry))
+            lacking[name] = f"hyperval data fetch {name}" if entry.public else redact(how_to_get(entry))
     return lacking
 
 
@@ -340,8 +340,8 @@ _MOST_ENTRIES = 100  # of a list of groups, which are checked one by one
 _MOST_VALUES = 20_000
 
 
-def plain(stated: Scenario | StudyFile) -> dict[str, Any]:
-    """A scenario or study as a file has it: what is stated, and no defaults."""
+def dump(stated: Scenario | StudyFile) -> dict[str, Any]:
+    """A scenario or study as plain data: what is stated, and no defaults."""
     return stated.model_dump(mode="json", by_alias=True, exclude_unset=True)
 
 
@@ -352,16 +352,16 @@ def checked_scenario(data: Mapping[str, Any], uploads: Collection[str] = ()) -> 
     ------
     Refused : every mistake with its field.
     """
-    mistakes = list(_of_names(of_bounded_size(data), uploads))
+    mistakes = list(_name_mistakes(check_size(data), uploads))
     try:
         scenario = Scenario.model_validate(data)
     except ValidationError as error:
         raise Refused(422, [*mistakes_of(error.errors()), *mistakes][:MOST_MISTAKES]) from error
-    deny(mistakes or list(_of_cost(scenario)), 422)
+    deny(mistakes or list(_cost_mistakes(scenario)), 422)
     return scenario
 
 
-def of_bounded_size(data: Any, field: str = "") -> Any:
+def check_size(data: Any, field: str = "") -> Any:
     """The data, if its size is within bounds; checked before its entries are validated.
 
     Raises
@@ -400,8 +400,8 @@ def _excess(path: tuple[str, ...], value: Any) -> str:
     return "a number of too many digits" if isinstance(value, int) and abs(value) > 1 << 62 else ""
 
 
-def _of_names(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[FieldMistake]:
-    """Names that this server does not have, and files of its own."""
+def _name_mistakes(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[FieldMistake]:
+    """Mistakes of names that this server does not have, and of files of its own."""
     # What the predefined scenarios name of data sets, anybody may name.
     files = [target.spectrum.file for one in predefined().values() for target in one.scene.targets]
     for parts, value in _values(data):
@@ -417,8 +417,8 @@ def _of_names(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[Fie
             yield FieldMistake(path, "files of the server are not read")
 
 
-def _of_cost(scenario: Scenario) -> Iterator[FieldMistake]:
-    """What this server cannot compute, or not for everybody."""
+def _cost_mistakes(scenario: Scenario) -> Iterator[FieldMistake]:
+    """Mistakes of what this server cannot compute, or not for everybody."""
     scene = scenario.scene
     if scenario.sensor is None:
         yield FieldMistake("sensor", "a sensor is needed, which gives the bands")
@@ -433,11 +433,11 @@ def _of_cost(scenario: Scenario) -> Iterator[FieldMistake]:
             yield FieldMistake(path, f"{count:,}; this server draws at most {most:,}")
 
 
-def marked(mistakes: Collection[FieldMistake], paths: Collection[str]) -> dict[str, list[str]]:
+def by_field(mistakes: Collection[FieldMistake], paths: Collection[str]) -> dict[str, list[str]]:
     """Field -> what is wrong there, each once: at the first field that it names, or the nearest that holds it.
 
     >>> mistake = FieldMistake("scene", "classes: their fractions sum to 0.9, not 1")
-    >>> list(marked([mistake], ["scene", "scene.fractions", "scene.classes"]))
+    >>> list(by_field([mistake], ["scene", "scene.fractions", "scene.classes"]))
     ['scene.classes']
     """
     out: dict[str, list[str]] = {}

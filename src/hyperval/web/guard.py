@@ -24,7 +24,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from hyperval.errors import internal_error, package_table
-from hyperval.web.refusal import FieldMistake, deny, problems
+from hyperval.web.refusal import FieldMistake, deny, json_error
 from hyperval.web.store import ServerSettings
 
 COOKIE = "hyperval_session"
@@ -63,30 +63,30 @@ class Guard:
         refusal = self._refusal(scope, headers, bound)
         size, is_started = 0, False
 
-        async def counted() -> Message:
+        async def receive_bounded() -> Message:
             nonlocal size
             message = await receive()
             size += len(message.get("body", b""))
             deny(size > bound, 413, f"larger than {bound:,} bytes", "body")
             return message
 
-        async def answer(message: Message) -> None:
+        async def send_answer(message: Message) -> None:
             nonlocal is_started
             if message["type"] == "http.response.start":
                 is_started = True
                 # What another site's page sent comes without the cookie: its answer must not replace the user's.
-                self._complete(MutableHeaders(scope=message), name if is_new and refusal is None else None)
+                self._add_headers(MutableHeaders(scope=message), name if is_new and refusal is None else None)
             await send(message)
 
         try:
-            await (refusal or self.app)(scope, counted, answer)
+            await (refusal or self.app)(scope, receive_bounded, send_answer)
         except ClientDisconnect:
             pass  # nobody is there to be told
         except Exception as error:
             print(f"hyperval serve: {internal_error(error)}", file=sys.stderr)
             if not is_started:
                 words = "an internal error; the server's log has it"
-                await problems(500, [FieldMistake("", words)])(scope, counted, answer)
+                await json_error(500, [FieldMistake("", words)])(scope, receive_bounded, send_answer)
 
     def _refusal(self, scope: Scope, headers: Headers, bound: int) -> JSONResponse | None:
         host, stated = headers.get("host", ""), headers.get("content-length", "0")
@@ -106,10 +106,10 @@ class Guard:
              415, "content-encoding", "bodies are taken as they are, not compressed"),
             (not is_other, 403, "origin", "a page of another site asked for this"),
         ]  # fmt: skip
-        broken = (problems(status, [FieldMistake(field, words)]) for holds, status, field, words in rules if not holds)
-        return next(broken, None)
+        bad = (json_error(status, [FieldMistake(field, words)]) for holds, status, field, words in rules if not holds)
+        return next(bad, None)
 
-    def _complete(self, headers: MutableHeaders, session: str | None) -> None:
+    def _add_headers(self, headers: MutableHeaders, session: str | None) -> None:
         """Add the headers of every answer, and the cookie of a new session."""
         for name, value in _HEADERS.items():
             headers.setdefault(name, value)
@@ -137,7 +137,7 @@ class _Connection(H11Protocol):
     most: ClassVar[int]
     most_of_all: ClassVar[int]
     every: ClassVar[set[_Connection]]
-    _look_again: asyncio.TimerHandle | None = None
+    _timer: asyncio.TimerHandle | None = None
     _awaited = ""
     _begun = 0.0
     _received = 0
@@ -150,53 +150,53 @@ class _Connection(H11Protocol):
             crowd = same if len(same) >= self.most else self.every
             idle = min((c for c in crowd if repr(c.conn.their_state) == _HEAD), key=lambda c: c._begun, default=None)
             if idle is None:
-                self._end(503)
+                self._close(503)
                 return
             self.every.remove(idle)
-            idle._end(408)
+            idle._close(408)
         self.every.add(self)
-        self._look()
+        self._check_deadline()
 
     def data_received(self, data: bytes) -> None:
         """Take what came, and see what is waited for now."""
         self._received += len(data)
         super().data_received(data)
-        self._note()
+        self._restart_clock()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Forget the connection."""
         super().connection_lost(exc)
-        if self._look_again is not None:
-            self._look_again.cancel()
+        if self._timer is not None:
+            self._timer.cancel()
         self.every.discard(self)
 
     @property
     def _address(self) -> str:
         return self.client[0] if self.client else ""
 
-    def _note(self) -> None:
+    def _restart_clock(self) -> None:
         """Count anew where something else is waited for than before, or the delay is this server's own."""
         state = repr(self.conn.their_state)
         if state != self._awaited or self.flow.read_paused:
             self._awaited, self._begun, self._received = state, self.loop.time(), 0
 
-    def _look(self) -> None:
+    def _check_deadline(self) -> None:
         """End the connection where a head or a body has not come in time; look again in a moment."""
-        self._note()
+        self._restart_clock()
         seconds = {_HEAD: HEAD_S, _BODY: BODY_S + self._received / LEAST_BYTES}.get(self._awaited, math.inf)
         if self.loop.time() - self._begun > seconds:
-            self._end(408)
+            self._close(408)
         else:
-            self._look_again = self.loop.call_later(_LOOK_S, self._look)
+            self._timer = self.loop.call_later(_LOOK_S, self._check_deadline)
 
-    def _end(self, status: int) -> None:
+    def _close(self, status: int) -> None:
         if self.cycle is None or self.cycle.response_complete:
             head = f"HTTP/1.1 {status} {HTTPStatus(status).phrase}\r\ncontent-length: 0\r\nconnection: close\r\n\r\n"
             self.transport.write(head.encode())
         self.transport.close()
 
 
-def connections_of(most: int) -> type[H11Protocol]:
+def connection_class(most: int) -> type[H11Protocol]:
     """The class of a server's connections, of which one address has at most ``most`` at a time."""
     of_all = max(16, os.sysconf("SC_OPEN_MAX") - _FILES)
     return type("Connection", (_Connection,), {"most": most, "most_of_all": of_all, "every": set()})

@@ -28,25 +28,25 @@ from hyperval.model import in_file
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.settings import with_settings
-from hyperval.study.plan import MOST_TRIED, point_of, states_of, values_to_try
+from hyperval.study.plan import MOST_TRIED, plan_states, point_values, values_to_try
 from hyperval.study.schema import StudyFile
-from hyperval.study.trade import KINDS, Prepared, Progress, Trade, complete, notebook, prepare, study_of
+from hyperval.study.trade import KINDS, Progress, Setup, Trade, complete, notebook, prepare, trade_study
 from hyperval.web.forms import (
     MOST_ROWS,
     SCENES,
     Node,
+    by_field,
+    check_size,
     checked_scenario,
+    dump,
     form_data,
     form_nodes,
-    marked,
     needs,
-    of_bounded_size,
-    plain,
     predefined,
     yaml_text,
 )
 from hyperval.web.pages import TEMPLATES, SentForm, api, owner_of, page, pages, store_of
-from hyperval.web.refusal import FieldMistake, Refused, deny, mistakes_of, said, to_show
+from hyperval.web.refusal import FieldMistake, Refused, deny, error_text, form_mistakes, mistakes_of
 from hyperval.web.runs import RunAnswer, Wait, answer_of, run, run_of
 from hyperval.web.store import Files, WebRun
 from hyperval.web.uploads import Uploads
@@ -60,7 +60,7 @@ def warm() -> None:
         needs(scenario)
         if scenario.sensor is not None:
             load_sensor(scenario.sensor)
-        form_nodes(plain(scenario))
+        form_nodes(dump(scenario))
     for name in TEMPLATES.list_templates():
         TEMPLATES.get_template(name)
 
@@ -68,7 +68,7 @@ def warm() -> None:
 @pages.get("/")
 def start(request: Request) -> Response:
     """What can be done here, and what was done last."""
-    runs = store_of(request).of(owner_of(request))
+    runs = store_of(request).visible_to(owner_of(request))
     missing = {name: needs(scenario) for name, scenario in predefined().items()}
     return page(request, "start.html.j2", scenarios=predefined(), missing=missing, runs=runs[:8])
 
@@ -77,7 +77,7 @@ def start(request: Request) -> Response:
 def predict_form(request: Request, scenario: str | None = None, run: str | None = None) -> Response:
     """The form, filled in with a predefined scenario, or that of an earlier run."""
     begun = f"run:{run}" if run is not None else scenario or "free"
-    data = _FREE if begun == "free" else _first(request, begun)
+    data = _FREE if begun == "free" else _initial_data(request, begun)
     if data is None:
         raise Refused(404, [FieldMistake("scenario", "no scenario or prediction has that name")])
     return _form(request, data, begun)
@@ -89,12 +89,12 @@ def predict_post(request: Request, form: SentForm) -> Response:
     fields = {name: [text for text in form.getlist(name) if isinstance(text, str)] for name in form}
     begun = fields.get("begun", [""])[0]
     if fields.get("action", ["run"])[0] != "run":
-        return _form(request, form_data(with_action(fields)), begun)
+        return _form(request, form_data(apply_action(fields)), begun)
     data = {"schema": 1} | form_data(fields)
     try:
         ordered = order_prediction(request, data)
     except Refused as refusal:
-        return _form(request, data, begun, to_show(refusal))
+        return _form(request, data, begun, form_mistakes(refusal))
     store_of(request).wait(ordered, seconds=5.0)
     return RedirectResponse(f"/runs/{ordered.id}", status_code=303)
 
@@ -108,7 +108,7 @@ def order_prediction(request: Request, data: dict[str, Any]) -> WebRun:
     """
     uploads = Uploads(request)
     scenario = checked_scenario(data, uploads.names())
-    text = yaml_text("scenario", plain(scenario))
+    text = yaml_text("scenario", dump(scenario))
     files: Files = {"scenario.yaml": text, **uploads.copies(text)}
     return store_of(request).order(uploads.owner, "prediction", scenario.name, scenario.title, files)
 
@@ -122,20 +122,20 @@ def _file(request: Request, name: str) -> str:
     return str(SCENES.get(name, name))
 
 
-def _first(request: Request, begun: str) -> dict[str, Any] | None:
+def _initial_data(request: Request, begun: str) -> dict[str, Any] | None:
     """What a form began with; None where it is there no more."""
     with suppress(Refused):
-        return plain(load_scenario(_file(request, begun)))
+        return dump(load_scenario(_file(request, begun)))
     return None
 
 
 def _form(request: Request, data: dict[str, Any], begun: str = "", mistakes: Sequence[FieldMistake] = ()) -> Response:
     """The form, and what differs in it from the scenario that it began with."""
-    uploads, first = Uploads(request), _first(request, begun)
+    uploads, first = Uploads(request), _initial_data(request, begun)
     begun = begun if first else ""
     nodes = form_nodes(data, first, uploads.names("sensors"))
     titles = {node.path: node.title for node in walk(nodes)} if mistakes else {}
-    errors = marked(mistakes, titles)
+    errors = by_field(mistakes, titles)
     holding = {path.rsplit(".", n)[0] for path in errors for n in range(path.count(".") + 1)}  # which stand open
     return page(
         request, "predict.html.j2", errors=errors, holding=holding, scenarios=predefined(),
@@ -151,7 +151,7 @@ def walk(nodes: Sequence[Node]) -> Iterator[Node]:
         yield from walk(node.children)
 
 
-def with_action(fields: dict[str, list[str]]) -> dict[str, list[str]]:
+def apply_action(fields: dict[str, list[str]]) -> dict[str, list[str]]:
     """The fields of a form, with a row more or less, as its button says."""
     verb, _, path = fields["action"][0].partition(":")
     count = fields.get(f"{path}#", [""])[0]
@@ -163,9 +163,9 @@ def with_action(fields: dict[str, list[str]]) -> dict[str, list[str]]:
 Setting = float | str | bool | list[Any] | None
 
 
-def small(field: str) -> BeforeValidator:
+def max_size(field: str) -> BeforeValidator:
     """Bounds the size of an entry of a body before its parts are validated."""
-    return BeforeValidator(partial(of_bounded_size, field=field))
+    return BeforeValidator(partial(check_size, field=field))
 
 
 class PredictionOrder(BaseModel):
@@ -173,8 +173,8 @@ class PredictionOrder(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     name: str | None = Field(None, max_length=100, description="a predefined scenario")
-    scenario: Annotated[Scenario | None, small("scenario")] = Field(None, description="in place of the name")
-    settings: Annotated[dict[str, Setting], small("")] = Field({}, max_length=100, description="dotted path: value")
+    scenario: Annotated[Scenario | None, max_size("scenario")] = Field(None, description="in place of the name")
+    settings: Annotated[dict[str, Setting], max_size("")] = Field({}, max_length=100, description="dotted path: value")
 
 
 class ScenarioAnswer(BaseModel):
@@ -191,7 +191,7 @@ class ScenarioAnswer(BaseModel):
 def scenarios() -> list[ScenarioAnswer]:
     """The predefined scenarios."""
     return [
-        ScenarioAnswer(name=n, title=s.title, description=s.description, needs=", ".join(needs(s)), scenario=plain(s))
+        ScenarioAnswer(name=n, title=s.title, description=s.description, needs=", ".join(needs(s)), scenario=dump(s))
         for n, s in predefined().items()
     ]
 
@@ -204,11 +204,11 @@ def predictions(request: Request, order: PredictionOrder, wait: Wait = 10.0) -> 
     if scenario is None:
         raise Refused(422, [FieldMistake("name", f"no predefined scenario; one of {', '.join(predefined())}")])
     try:
-        data = plain(with_settings(scenario, order.settings) if order.settings else scenario)
+        data = dump(with_settings(scenario, order.settings) if order.settings else scenario)
     except UsageError as error:
         if isinstance(cause := error.__cause__, ValidationError):
             raise Refused(422, mistakes_of(cause.errors())) from error
-        raise Refused(422, [FieldMistake("settings", said(error)[:500])]) from error
+        raise Refused(422, [FieldMistake("settings", error_text(error)[:500])]) from error
     return run(request, order_prediction(request, data).id, wait)
 
 
@@ -224,31 +224,31 @@ def _source(request: Request, name: str) -> str:
     return _file(request, name)
 
 
-def _asked(request: Request, sent: QueryParams | FormData) -> tuple[str, Trade, Prepared]:
+def _parse_trade(request: Request, sent: QueryParams | FormData) -> tuple[str, Trade, Setup]:
     """What is asked, checked against its scenario; refused with every mistake at its field."""
-    *asked, mistakes = _right(request, sent)
+    *asked, mistakes = _valid_part(request, sent)
     deny(mistakes, 422)
     return tuple(asked)
 
 
-def _right(request: Request, sent: QueryParams | FormData) -> tuple[Any, ...]:
+def _valid_part(request: Request, sent: QueryParams | FormData) -> tuple[Any, ...]:
     """Source, trade and scenario of what is right in what is asked, and every mistake of the rest, left out."""
     texts = [(name, text.strip()) for name, text in sent.multi_items() if isinstance(text, str) and text.strip()]
     try:
-        return (*_checked(request, texts), [])
+        return (*_build_trade(request, texts), [])
     except Refused as refusal:
-        mistakes = to_show(refusal)
+        mistakes = form_mistakes(refusal)
         if not texts:
             raise
     wrong = {mistake.field for mistake in mistakes}
     rest = [(n, t) for n, t in texts if not {n, n.partition("_")[0]} & wrong]  # with an input the ends of its axis
     fewer = (kept for kept in (rest, [(n, t) for n, t in texts if n == "scenario"], []) if len(kept) < len(texts))
-    *right, more = _right(request, QueryParams(next(fewer)))
+    *right, more = _valid_part(request, QueryParams(next(fewer)))
     # Of another scenario than the one that is asked for there is nothing to be told.
     return (*right, [*mistakes, *(mistake for mistake in more if not {mistake.field, "scenario"} & wrong)])
 
 
-def _checked(request: Request, texts: Sequence[tuple[str, str]]) -> tuple[str, Trade, Prepared]:
+def _build_trade(request: Request, texts: Sequence[tuple[str, str]]) -> tuple[str, Trade, Setup]:
     """What is asked, filled in from its scenario."""
     data: dict[str, Any] = {name: text for name, text in texts if name in Trade.model_fields}
     data |= {name: [text for key, text in texts if key == name] for name in _LISTS}
@@ -264,22 +264,22 @@ def _checked(request: Request, texts: Sequence[tuple[str, str]]) -> tuple[str, T
         mistakes = mistakes_of(error.errors())
         raise Refused(422, [replace(m, field=re.sub(r"^moved\.", "at:", m.field)) for m in mistakes]) from error
     except UsageError as error:
-        raise Refused(422, [FieldMistake(error.where or "", said(error))]) from error
+        raise Refused(422, [FieldMistake(error.where or "", error_text(error))]) from error
 
 
 @pages.get("/trade")
-def desk(request: Request) -> Response:
-    """The desk, as its address says."""
-    source, trade, offers, mistakes = _right(request, request.query_params)
+def trade_page(request: Request) -> Response:
+    """The trade page, as its address says."""
+    source, trade, offers, mistakes = _valid_part(request, request.query_params)
     ordered = list(offers.inputs.values())
     shown = [
         o for o in ordered
         if o.slider and (o.group != "Target" or len(o.paths) > 1 or any(f"[{s}]" in o.key for s in trade.subject))
     ]  # fmt: skip
-    runs = store_of(request).of(owner_of(request), "prediction")
+    runs = store_of(request).visible_to(owner_of(request), "prediction")
     return page(
         request, "trade.html.j2", trade=trade, offers=offers, sliders=shown,
-        errors=marked(mistakes, [mistake.field for mistake in mistakes]),
+        errors=by_field(mistakes, [mistake.field for mistake in mistakes]),
         groups=[(name, list(some)) for name, some in groupby(ordered, lambda o: o.group)],
         scenarios={name: s.title or name for name, s in predefined().items() if not needs(s)}, runs=runs[:20],
         kinds=KINDS, detectors=LINEAR_DETECTORS, is_beside=source not in builtin_scenarios(),
@@ -287,17 +287,17 @@ def desk(request: Request) -> Response:
 
 
 @pages.get("/trade/live")
-def live(request: Request) -> Response:
+def trade_live(request: Request) -> Response:
     """The ROC where the sliders stand, with its interval where that is asked for."""
-    source, trade, _ = _asked(request, request.query_params)
+    source, trade, _ = _parse_trade(request, request.query_params)
     roc = store_of(request).ask("trade_live", source=source, trade=trade, with_limits="limits" in request.query_params)
     return JSONResponse(roc)
 
 
 @pages.get("/trade/curve")
-def curve(request: Request) -> Response:
+def trade_curve(request: Request) -> Response:
     """The curve or map, a line of JSON for each piece."""
-    source, trade, _ = _asked(request, request.query_params)
+    source, trade, _ = _parse_trade(request, request.query_params)
     ask = store_of(request).ask
 
     def pieces() -> Iterator[str]:
@@ -305,7 +305,7 @@ def curve(request: Request) -> Response:
         try:
             while progress is None or progress.todo:
                 progress = Progress(*ask("trade_piece", source=source, trade=trade, before=progress))
-                yield json.dumps({"figure": progress.figure, "needed": progress.said, "left": progress.todo}) + "\n"
+                yield json.dumps({"figure": progress.figure, "needed": progress.messages, "left": progress.todo}) + "\n"
         except Refused as refusal:  # what went before is sent already
             yield json.dumps({"error": refusal.mistakes[0].message, "left": 0}) + "\n"
 
@@ -313,16 +313,16 @@ def curve(request: Request) -> Response:
 
 
 @pages.get("/trade/{name}")
-def take_away(request: Request, name: str) -> Response:
+def download_study(request: Request, name: str) -> Response:
     """The study that gives the same numbers, the scenario beside it, or a notebook that runs it."""
-    source, trade, offers = _asked(request, request.query_params)
+    source, trade, offers = _parse_trade(request, request.query_params)
     is_beside = source not in builtin_scenarios()
-    study = study_of(offers, trade, "scenario.yaml" if is_beside else source)
+    study = trade_study(offers, trade, "scenario.yaml" if is_beside else source)
     note = _NOTE if "atmosphere.engine" in study.settings else ""
     texts = {path.name: path.read_text("utf-8") for path in trade.kept if path.name in trade.sensor}
-    texts["study.yaml"] = yaml_text("study", plain(study), note)
+    texts["study.yaml"] = yaml_text("study", dump(study), note)
     if is_beside:
-        texts["scenario.yaml"] = yaml_text("scenario", plain(load_scenario(source)))
+        texts["scenario.yaml"] = yaml_text("scenario", dump(load_scenario(source)))
     texts["trade.ipynb"] = notebook(texts)
     deny(name not in texts, 404, "there is no such file")
     headers = {"content-disposition": f"attachment; filename*=utf-8''{quote(name)}"}  # as the framework names files
@@ -330,10 +330,10 @@ def take_away(request: Request, name: str) -> Response:
 
 
 @pages.post("/trade")
-def keep(request: Request, form: SentForm) -> Response:
+def keep_study(request: Request, form: SentForm) -> Response:
     """Run the study under the exact engine, and keep what comes of it."""
-    _, trade, offers = _asked(request, form)
-    run = order_study(request, study_of(offers, trade, trade.scenario, exact=True))
+    _, trade, offers = _parse_trade(request, form)
+    run = order_study(request, trade_study(offers, trade, trade.scenario, exact=True))
     return RedirectResponse(f"/runs/{run.id}", status_code=303)
 
 
@@ -347,9 +347,9 @@ def order_study(request: Request, study: StudyFile) -> WebRun:
     uploads = Uploads(request)
     scenario = load_scenario(_source(request, study.scenario))
     most = request.app.state.settings.points
-    deny(list(dict.fromkeys((*_of_size(study, scenario, most), *_of_paths(study, scenario, uploads.names())))), 422)
-    text = yaml_text("scenario", plain(scenario))
-    asked = yaml_text("study", plain(study) | {"scenario": "scenario.yaml"})
+    deny([*dict.fromkeys((*_check_size(study, scenario, most), *_check_paths(study, scenario, uploads.names())))], 422)
+    text = yaml_text("scenario", dump(scenario))
+    asked = yaml_text("study", dump(study) | {"scenario": "scenario.yaml"})
     files: Files = {**uploads.copies(text + asked, scenario.folder), "study.yaml": asked, "scenario.yaml": text}
     return store_of(request).order(uploads.owner, "study", study.name, study.title, files)
 
@@ -357,7 +357,7 @@ def order_study(request: Request, study: StudyFile) -> WebRun:
 class StudyOrder(Model):
     """A study of a predefined scenario by name, or of ``run:ID``, a prediction of this session."""
 
-    study: Annotated[StudyFile, small("study")]
+    study: Annotated[StudyFile, max_size("study")]
 
 
 @api.post("/studies", status_code=201)
@@ -366,8 +366,8 @@ def studies(request: Request, order: StudyOrder) -> RunAnswer:
     return answer_of(request, order_study(request, order.study))
 
 
-def _of_size(study: StudyFile, scenario: Scenario, most: int) -> Iterator[FieldMistake]:
-    few, nodes = states_of(study, scenario)
+def _check_size(study: StudyFile, scenario: Scenario, most: int) -> Iterator[FieldMistake]:
+    few, nodes = plan_states(study, scenario)
     states = len(few) or math.prod(map(len, nodes.values()))
     points = study.count * (1 + sum(q.scan + 40 for q in study.required) // 4)
     if points > most:
@@ -376,12 +376,12 @@ def _of_size(study: StudyFile, scenario: Scenario, most: int) -> Iterator[FieldM
         yield FieldMistake("inputs", f"{states} states of the atmosphere; this server allows at most {_MOST_STATES}")
 
 
-def _of_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) -> Iterator[FieldMistake]:
+def _check_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) -> Iterator[FieldMistake]:
     """Paths that lead nowhere, and values that cannot stand there: files of the server among them.
 
     >>> planks, asked = "yellow-planks-asphalt", Trade(side_m=1.0)  # of a GSD, which the settings of the study make
-    >>> study = study_of(p := prepare(planks, asked), complete(asked, p), planks)
-    >>> study.inputs[0].path.endswith("gsd_m"), list(_of_paths(study, load_scenario(planks), ()))
+    >>> study = trade_study(p := prepare(planks, asked), complete(asked, p), planks)
+    >>> study.inputs[0].path.endswith("gsd_m"), list(_check_paths(study, load_scenario(planks), ()))
     (True, [])
     """
     tries: list[tuple[str, Mapping[str, Any]]] = [("settings", {})]
@@ -391,14 +391,14 @@ def _of_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) ->
         if len(values) > MOST_TRIED:
             yield FieldMistake(f"{where}.values", f"{len(values)} that are no numbers; at most {MOST_TRIED} are taken")
         for value in values[:MOST_TRIED]:
-            point = {path: v for path, v in point_of(item, value).items() if v is not None and in_file(path)}
+            point = {path: v for path, v in point_values(item, value).items() if v is not None and in_file(path)}
             named = {path: point[path] for path in sorted(point) if path.partition(".")[0] in Scenario.model_fields}
             tries.append((f"{where}.path", named))
     for field, moves in tries:
         try:
-            checked_scenario(plain(with_settings(scenario, {**study.settings, **moves})), uploads)
+            checked_scenario(dump(with_settings(scenario, {**study.settings, **moves})), uploads)
         except (UsageError, Refused) as error:
-            words = said(error) if isinstance(error, UsageError) else str(error)
+            words = error_text(error) if isinstance(error, UsageError) else str(error)
             yield FieldMistake(field, words[:400])
             if field == "settings":  # on which the others stand
                 return

@@ -57,35 +57,35 @@ def deny(wrong: object, status: int, words: str = "", field: str = "", wait: int
         raise Refused(status, [FieldMistake(field, words)] if words else cast(Sequence[FieldMistake], wrong), wait)
 
 
-def problems(status: int, mistakes: Iterable[FieldMistake], headers: Mapping[str, str] | None = None) -> JSONResponse:
+def json_error(status: int, mistakes: Iterable[FieldMistake], headers: Mapping[str, str] | None = None) -> JSONResponse:
     """The answer to a program whose request was refused."""
     headers = {**(headers or {}), **({"connection": "close"} if status == 413 else {})}
     return JSONResponse({"errors": [asdict(mistake) for mistake in mistakes]}, status, headers)
 
 
-def to_show(refusal: Refused) -> list[FieldMistake]:
+def form_mistakes(refusal: Refused) -> list[FieldMistake]:
     """The mistakes that a form is shown again with; a refusal for another reason is raised on."""
     if refusal.status_code != 422:
         raise refusal
     return list(refusal.mistakes)
 
 
-def for_pages(text: str) -> str:
+def redact(text: str) -> str:
     """The text without options of a command, each absolute path in it cut down to its last name."""
     text = re.sub(r" \((?:or )?--[a-z-]+\)", "", text)
     return _PATH.sub(lambda m: re.split(r"[\\/]", m[0].rstrip("\\/"))[-1] or "a folder", text)
 
 
-def said(error: HypervalError) -> str:
-    """What an error of the package says to someone who does not share its files, and types no options of a command.
+def error_text(error: HypervalError) -> str:
+    """The text of an error for a web page: without paths of the server and options of the command line.
 
-    >>> said(HypervalError("collection.cube.unit: of the radiance (--unit)", expected="a unit (or --scale)"))
+    >>> error_text(HypervalError("collection.cube.unit: of the radiance (--unit)", expected="a unit (or --scale)"))
     'collection.cube.unit: of the radiance; expected: a unit'
     """
-    return for_pages(f"{error.what}; expected: {error.expected}" if error.expected else error.what)
+    return redact(f"{error.what}; expected: {error.expected}" if error.expected else error.what)
 
 
 def mistakes_of(items: Sequence[Any]) -> list[FieldMistake]:
     """Mistakes that pydantic finds, each once, with its field."""
-    found = (FieldMistake(".".join(map(str, place))[:200], for_pages(said)[:500]) for place, said in mistakes_in(items))
+    found = (FieldMistake(".".join(map(str, place))[:200], redact(said)[:500]) for place, said in mistakes_in(items))
     return list(dict.fromkeys(found))[:MOST_MISTAKES]

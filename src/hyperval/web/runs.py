@@ -57,13 +57,13 @@ Number = Annotated[int, Query(ge=0, lt=1_000_000)]
 @pages.get("/runs")
 def runs_page(request: Request) -> Response:
     """Every run of this session."""
-    return page(request, "runs.html.j2", runs=store_of(request).of(owner_of(request)))
+    return page(request, "runs.html.j2", runs=store_of(request).visible_to(owner_of(request)))
 
 
 @api.get("/runs")
 def runs(request: Request) -> list[RunAnswer]:
     """Runs of this session, the latest first."""
-    return [answer_of(request, run) for run in store_of(request).of(owner_of(request))]
+    return [answer_of(request, run) for run in store_of(request).visible_to(owner_of(request))]
 
 
 @api.get("/runs/{run_id}")
@@ -78,7 +78,7 @@ def run_page(request: Request, run: OwnRun, beside: str | None = None) -> Respon
     """A run: its numbers and charts, or how far it is."""
     store = store_of(request)
     other = run_of(request, beside) if beside else None
-    others = [r for r in store.of(run.owner, run.kind) if r.id != run.id and r.state == "finished"]
+    others = [r for r in store.visible_to(run.owner, run.kind) if r.id != run.id and r.state == "finished"]
     files = files_of(store.place(run.id), run)
     figures = [name for name in files if name.startswith("figures/") and name.endswith((".svg", ".png"))]
     pictures = [name for name in (f"figures/{p}.png" for p in PICTURES) if name in figures]  # of the scene
@@ -202,7 +202,7 @@ def known_campaigns(request: Request) -> dict[str, CampaignAnswer]:
     """Campaigns by name: those of the folder of campaigns, then those of this session."""
     out = {one.name: one for one in campaigns_of(request.app.state.settings)}
     store = store_of(request)
-    for run in store.of(owner_of(request), "pipeline"):
+    for run in store.visible_to(owner_of(request), "pipeline"):
         path = store.place(run.id) / "campaign.yaml"
         if run.state == "finished" and path.is_file() and run.summary.get("compares", True):
             about = {"title": run.title or run.name, "description": "Brought by this session."}
@@ -248,7 +248,7 @@ def _read(path: Path, changed: int, size: int) -> tuple[CampaignAnswer, ...]:
 @pages.get("/validate")
 def campaigns_page(request: Request) -> Response:
     """Campaigns with their verdicts over time."""
-    runs = store_of(request).of(owner_of(request), "validation")
+    runs = store_of(request).visible_to(owner_of(request), "validation")
     campaigns = known_campaigns(request)
     lacking = {name: needs(campaign.path.read_text("utf-8")) for name, campaign in campaigns.items()}
     has_folder = request.app.state.settings.campaigns is not None

@@ -38,7 +38,7 @@ from hyperval.progress import set_listener
 from hyperval.report import first_screen
 from hyperval.run import Run, is_run, provenance_of
 from hyperval.storage import installed_file, size_of, write_text
-from hyperval.web.refusal import FieldMistake, Refused, deny, said
+from hyperval.web.refusal import FieldMistake, Refused, deny, error_text
 
 MEGABYTE = 1_000_000
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
@@ -143,8 +143,8 @@ def _parsed(path: Path, *_: int) -> WebRun:
 
 
 @reader
-def _told_of(results: Path, record: Mapping[str, Any], **more: Any) -> WebRun:
-    """The run of what a command or script wrote, with the name of its campaign or scenario, else of its folder."""
+def _run_of_results(results: Path, record: Mapping[str, Any], **more: Any) -> WebRun:
+    """The run of results that a command or script wrote, named by its campaign or scenario, else by its folder."""
     configuration: dict[str, Any] = dict(record.get("configuration") or {})
     about = next(filter(None, map(configuration.get, ("campaign", "study", "scenario"))), dict[str, Any]())
     program, *words = record.get("command") or ("",)
@@ -196,7 +196,7 @@ class Runs:
         self._unwritten: dict[str, WebRun] = {}  # runs that ended when the disk was full
         self._clearing, self._cleared = threading.Lock(), 0.0
         (self.folder / "runs").mkdir(parents=True, exist_ok=True)
-        self._settle()
+        self._recover()
         self.clear()
         new = partial(WorkerPool, most=settings.queue, memory_bytes=settings.memory_bytes, scheduler=settings.scheduler)
         self.quick, self.long = pools or (
@@ -204,7 +204,7 @@ class Runs:
             new(settings.long_workers, seconds=settings.long_seconds),
         )
 
-    def _settle(self) -> None:
+    def _recover(self) -> None:
         runs = {run.id: run for run in self._all_runs()}
         unreadable = [p for p in (self.folder / "runs").iterdir() if _ID.fullmatch(p.name) and p.name not in runs]
         lost = [run for run in runs.values() if run.state not in ENDED]
@@ -245,13 +245,13 @@ class Runs:
             raise Refused(404, "there is no such run in this session")
         return run
 
-    def of(self, owner: str, kind: str | None = None) -> list[WebRun]:
+    def visible_to(self, owner: str, kind: str | None = None) -> list[WebRun]:
         """Runs that a session sees, the latest first."""
-        self._adopt()
+        self._register_results()
         some = [r for r in self._all_runs() if r.owner in (owner, EVERYBODY) and kind in (None, r.kind)]
         return sorted(some, key=lambda r: -r.created)
 
-    def _adopt(self) -> None:
+    def _register_results(self) -> None:
         """Give what commands wrote below the server's folder a run whose results are a link to it."""
         groups = [place for place in self.folder.iterdir() if place.name not in ("runs", "uploads", "cache")]
         folders = (path for group in groups for path in (group, *group.glob("*/")) if not path.name.startswith("."))
@@ -262,7 +262,7 @@ class Runs:
             with suppress(OSError, HypervalError):  # it is being written, or no page can tell of it
                 written = path.stat().st_mtime
                 if (old is None or old.created != written) and (record := provenance_of(path)):
-                    run = _told_of(path, record, id=run_id, created=written)
+                    run = _run_of_results(path, record, id=run_id, created=written)
                     place.mkdir(mode=0o700, exist_ok=True)
                     if not (place / "results").is_symlink():
                         (place / "results").symlink_to(path.resolve(), target_is_directory=True)
@@ -302,7 +302,7 @@ class Runs:
                     total -= size
                     shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)
 
-    def _hand(
+    def _submit(
         self, key: tuple[str, object], pool: TaskPool, task: WorkerTask, end: Callable[[], None] = lambda: None
     ) -> None:
         """Give a task to the workers; when it has its result and ``end`` is done, it is on its way no more."""
@@ -348,7 +348,7 @@ class Runs:
                     shutil.copyfile(source, target) if isinstance(source, Path) else write_text(target, source)
                 self._write(run)
                 pool = self.quick if kind == "prediction" else self.long
-                self._hand((owner, run.id), pool, task, partial(self._end, run, task))
+                self._submit((owner, run.id), pool, task, partial(self._end, run, task))
             except (OSError, Refused) as error:
                 shutil.rmtree(place, ignore_errors=True)
                 if isinstance(error, Refused):
@@ -401,7 +401,7 @@ class Runs:
         with self._changed:
             job = self._tasks.get((run.id, name)) or WorkerTask(task, {"folder": str(place), **arguments})
             if (run.id, name) not in self._tasks:
-                self._hand((run.id, name), self.long if task == COLLECTION else self.quick, job)
+                self._submit((run.id, name), self.long if task == COLLECTION else self.quick, job)
         self._result(job, self._settings.quick_seconds * 2)
         return place / name
 
@@ -417,7 +417,7 @@ class Runs:
         Refused : it failed, or the queue is full.
         """
         job = WorkerTask(task, arguments)
-        self._hand(("", job), self.quick, job)
+        self._submit(("", job), self.quick, job)
         return self._result(job, self._settings.quick_seconds, field)
 
     def _result(self, task: WorkerTask, seconds: float, field: str = "") -> Any:
@@ -458,11 +458,11 @@ class WorkerPool(TaskPool):
     ):  # fmt: skip
         self._stack = ExitStack()
         set_forkserver_preload([module])
-        perform = partial(carried_out, module)
+        perform = partial(perform_task, module)
         start: Callable[[], Worker] = partial(Process, perform, partial(perform, "warm", {}), memory_bytes)
         if scheduler is not None:
             places = self._stack.enter_context(workers(scheduler=scheduler))
-            start, count = partial(_Place, places, module), places.width
+            start, count = partial(_ClusterWorker, places, module), places.width
         super().__init__(start, count, most=most, seconds=seconds)
 
     def close(self) -> None:
@@ -471,14 +471,14 @@ class WorkerPool(TaskPool):
         self._stack.close()
 
 
-def carried_out(module: str, task: str, arguments: Mapping[str, Any]) -> Any:
-    """What a task returns; why it came to nothing is told in words for who asked."""
+def perform_task(module: str, task: str, arguments: Mapping[str, Any]) -> Any:
+    """Run a task and return its result; an error becomes a TaskFailed in words for whoever asked."""
     try:
         return importlib.import_module(module).TASKS[task](**arguments)
     except TaskFailed:
         raise
     except HypervalError as error:
-        words = said(error)
+        words = error_text(error)
     except MemoryError:
         words = "it needs more memory than this server gives to one run"
     except OSError as error:
@@ -496,8 +496,8 @@ _NOWHERE = Path(os.devnull)  # of a task that has no folder: below it are no fil
 _alone = threading.Lock()  # a worker of several threads has one listener, and one library that draws
 
 
-class _Place:
-    """A place on a scheduler: its task tells in the run's folder how far it is."""
+class _ClusterWorker:
+    """A worker of a scheduler: its task writes its progress into the folder of the run."""
 
     def __init__(self, places: Workers, module: str):
         self._at, self._module = places, module
@@ -555,6 +555,6 @@ def run(call: tuple[str, str, Mapping[str, Any]]) -> Any:
         set_listener(report)
         try:
             report("working", 0, None)
-            return carried_out(module, task, arguments)
+            return perform_task(module, task, arguments)
         finally:
             set_listener(None)

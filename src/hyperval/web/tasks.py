@@ -23,14 +23,14 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval import api
-from hyperval.campaign import StarterSources, jobs_of, observe, predict_to_folder, starter_campaign, validate
+from hyperval.campaign import StarterSources, load_jobs, observe, predict_to_folder, starter_campaign, validate
 from hyperval.collection import CollectionSection, CubeSource
 from hyperval.config import load_model, parse_yaml, placeholders, write_draft
 from hyperval.datasets import InputLog
 from hyperval.envi_header import header_beside
 from hyperval.errors import UsageError, needed, refuse
 from hyperval.executors import under_command
-from hyperval.figures import Figure, densities_figure, exceedance_figure, first_figures, spectra_figure, statement
+from hyperval.figures import Figure, densities_figure, exceedance_figure, figure_json, first_figures, spectra_figure
 from hyperval.imagery import image_record, open_raster
 from hyperval.observe import open_source
 from hyperval.products import ObservedProducts, PredictedProducts, SpectralEstimate, background_of
@@ -40,7 +40,7 @@ from hyperval.sensor.specification import load_sensor
 from hyperval.simulate import simulate
 from hyperval.storage import write_text
 from hyperval.study import live_figure, next_piece, study_to_folder
-from hyperval.web.refusal import for_pages
+from hyperval.web.refusal import redact
 from hyperval.web.store import COLLECTION, MOST_LISTED, summary_of, view_name
 
 
@@ -50,14 +50,14 @@ def charts_of(*sides: PredictedProducts) -> list[dict[str, Any]]:
     both = sides[0], sides[1] if len(sides) > 1 else None
     scores = densities_figure(list(zip(names, sides, strict=False)))
     figures = (*first_figures(both, names=names), scores, exceedance_figure((sides[0], None)))
-    return [fetched(figure) for figure in figures if figure is not None]
+    return [chart_data(figure) for figure in figures if figure is not None]
 
 
-def fetched(figure: Figure) -> dict[str, Any]:
-    """A figure as a page fetches it."""
+def chart_data(figure: Figure) -> dict[str, Any]:
+    """A figure as JSON for a page."""
     return {
         "name": f"chart-{figure.name}", "section": figure.section, "title": figure.caption, "alt": figure.alt,
-        "content": statement(figure), "subjects": [view.subject for view in figure.views],
+        "content": figure_json(figure), "subjects": [view.subject for view in figure.views],
     }  # fmt: skip
 
 
@@ -77,7 +77,7 @@ def predict(folder: str) -> dict[str, Any]:
     Bands, mean SNR, and P_D at some P_FA with 95 % limits, a row for each curve.
     """
     draw(folder)
-    prediction, rows = _predicted(folder), list[dict[str, Any]]()
+    prediction, rows = _predict(folder), list[dict[str, Any]]()
     for key, pfa in product(prediction.products.roc, (1e-4, 1e-3, 1e-2)):
         about = dict(zip(("subject", "detector", "unit"), key, strict=True))
         with suppress(UsageError):  # where the curves of the scenario begin above it
@@ -99,13 +99,13 @@ def _number(value: Any) -> float | None:
 
 
 @lru_cache(maxsize=8)
-def _predicted(folder: str) -> api.Prediction:
+def _predict(folder: str) -> api.Prediction:
     return api.predict(load_model(Scenario, Path(folder) / "scenario.yaml"))
 
 
 def draw(folder: str, earlier: str | None = None) -> None:
     """Write the charts of a prediction, beside those of an earlier one where there is one."""
-    sides = [_predicted(one).products for one in (folder, earlier) if one is not None]
+    sides = [_predict(one).products for one in (folder, earlier) if one is not None]
     name = "charts" if earlier is None else f"charts-{Path(earlier).name}"
     _write(Path(folder) / view_name(name), charts_of(*sides))
 
@@ -139,16 +139,16 @@ def pipeline(folder: str, parts: Mapping[str, list[str]], stated: Mapping[str, A
     """
     place = Path(folder)
     files = {part: [place / COLLECTION / name for name in names] for part, names in parts.items()}
-    text, guesses, header = _drafted(place, files, stated, most)
+    text, guesses, header = _draft_campaign(place, files, stated, most)
     write_draft(place / "campaign.yaml", "campaign", text)
     with under_command("hyperval", "observe", "campaign.yaml"):
         observe(place / "campaign.yaml", place / "results")
     compares = "comparisons" in parse_yaml(text)[0]
-    summary = {"header": header, "guesses": [for_pages(guess) for guess in guesses], "compares": compares}
+    summary = {"header": header, "guesses": [redact(guess) for guess in guesses], "compares": compares}
     return summary_of("pipeline", place / "results") | summary
 
 
-def _drafted(
+def _draft_campaign(
     place: Path, files: Mapping[str, list[Path]], stated: Mapping[str, Any], most: int
 ) -> tuple[str, list[str], dict[str, str]]:
     """The campaign of the files of each part, what is guessed in it, and what the header says."""
@@ -173,7 +173,7 @@ def draft(files: Mapping[str, list[str]], stated: Mapping[str, Any], most: int) 
     """Entries of the campaign of the files that these leave open, and what they are."""
     paths = {part: [Path(file) for file in names] for part, names in files.items()}
     with TemporaryDirectory(prefix="hyperval-draft-") as place:
-        text, *_ = _drafted(Path(place), paths, stated, most)
+        text, *_ = _draft_campaign(Path(place), paths, stated, most)
     return [(one.key, one.what) for one in placeholders(*parse_yaml(text), "")]
 
 
@@ -244,7 +244,7 @@ def _scores(observed: ObservedProducts, subject: str, detector: str, unit: str) 
 
 def _collection(path: str) -> tuple[CollectionSection, CubeSource, InputLog]:
     """The collection of a campaign, its cube, and where its files are."""
-    job = next((job for job in jobs_of(Path(path)) if job.waits is None), None)
+    job = next((job for job in load_jobs(Path(path)) if job.unavailable is None), None)
     if job is None or job.campaign.collection is None or job.campaign.collection.cube is None:
         raise UsageError("this campaign has no cube")
     return job.campaign.collection, job.campaign.collection.cube, InputLog.of_file(job.path)
@@ -275,7 +275,7 @@ def pixel(folder: str, path: str, line: int, sample: int) -> None:
     sides: dict[str, Any] = {quantity: dict.fromkeys(spectra, spectrum)}
     observed = ObservedProducts(cube.axis, **sides)
     figure = spectra_figure((predicted, observed), quantity, names=("predicted", f"pixel ({line}, {sample})"))
-    _write(Path(folder) / view_name(f"pixel-{line}-{sample}"), [fetched(figure)] if figure else [])
+    _write(Path(folder) / view_name(f"pixel-{line}-{sample}"), [chart_data(figure)] if figure else [])
 
 
 def _write(path: Path, content: Any) -> None:

@@ -26,9 +26,9 @@ from hyperval.errors import HypervalError, package_table
 from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
 from hyperval.storage import whole_file
-from hyperval.web.forms import marked
+from hyperval.web.forms import by_field
 from hyperval.web.pages import SentForm, api, owner_of, page, pages
-from hyperval.web.refusal import FieldMistake, Refused, deny, for_pages, mistakes_of, to_show
+from hyperval.web.refusal import FieldMistake, Refused, deny, form_mistakes, mistakes_of, redact
 from hyperval.web.runs import RunAnswer, answer_of
 from hyperval.web.store import WebRun
 
@@ -72,7 +72,7 @@ class Uploads:
         named = {name: self.folder / kind / name for kind in _OF_SCENARIOS for name in self.names(kind) if name in text}
         return named | {name: path for name in named if beside is not None and (path := beside / name).is_file()}
 
-    def submitted(self, form: FormData) -> Iterator[tuple[str, Callable[[], Path]]]:
+    def iter_files(self, form: FormData) -> Iterator[tuple[str, Callable[[], Path]]]:
         """Field of each file of a form, and how to get it: uploaded, kept from an earlier request, or named."""
         for field, file in form.multi_items():
             if isinstance(file, UploadFile) and field in _FIELDS and (file.filename or file.size):
@@ -81,7 +81,7 @@ class Uploads:
             for name in {*form.getlist(f"{field}_kept")} & {*self.names(field)}:
                 yield field, partial((self.folder / field).joinpath, str(name))
             for name in filter(None, (n.strip() for n in str(form.get(f"{field}_named") or "").split(","))):
-                yield field, partial(self._named, field, name)
+                yield field, partial(self._data_file, field, name)
 
     def _keep(self, field: str, file: UploadFile) -> Path:
         """Keep a file under its field; a new one takes the place of one of its name, and of any other of a cube."""
@@ -114,11 +114,11 @@ class Uploads:
             try:
                 self._state.runs.ask("sensor", field, name_or_path=str(path))
             except Refused as refusal:
-                words = to_show(refusal)[0].message.replace(path.name, name)
+                words = form_mistakes(refusal)[0].message.replace(path.name, name)
                 mistake = FieldMistake("sensors", words if words.startswith(name) else f"{name}: {words}")
                 raise Refused(422, [mistake]) from refusal
 
-    def _named(self, field: str, name: str) -> Path:
+    def _data_file(self, field: str, name: str) -> Path:
         """A file of the data folder that a form names."""
         data = self._state.settings.data
         with suppress(HypervalError, OSError):
@@ -160,8 +160,8 @@ class StatedCollection(BaseModel):
 
 
 @pages.get("/bring")
-def bring(request: Request) -> Response:
-    """The form."""
+def upload_form(request: Request) -> Response:
+    """The form of uploads."""
     return _page(request, {})
 
 
@@ -172,13 +172,13 @@ def uploads_page(request: Request, form: SentForm) -> Response:
         taken = take_files(request, form)
     except Refused as refusal:
         fields = {name: value for name, value in form.items() if isinstance(value, str)}
-        return _page(request, fields, to_show(refusal))
+        return _page(request, fields, form_mistakes(refusal))
     return RedirectResponse(f"/runs/{taken.id}" if isinstance(taken, WebRun) else "/bring", status_code=303)
 
 
 def _page(request: Request, fields: Mapping[str, str], mistakes: Sequence[FieldMistake] = ()) -> Response:
     settings, uploads = request.app.state.settings, Uploads(request)
-    errors = marked(mistakes, [mistake.field for mistake in mistakes])
+    errors = by_field(mistakes, [mistake.field for mistake in mistakes])
     return page(
         request, "uploads.html.j2", errors=errors, given=fields, most=settings.upload_bytes,
         has_data=settings.data is not None, sensors=library_names(),
@@ -196,7 +196,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
     uploads, state, mistakes = Uploads(request), request.app.state, list[FieldMistake]()
     files: dict[str, tuple[str, Path]] = {}  # name in the collection -> its field, and where it is
     fields = set[str]()
-    for field, find in uploads.submitted(form):
+    for field, find in uploads.iter_files(form):
         fields.add(field)
         try:
             path = find()
@@ -226,7 +226,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
     about: dict[str, Any] = {"stated": stated.model_dump(exclude_none=True), "most": state.settings.samples}
     sent = {part: [str(path) for sender, path in files.values() if sender == part] for part in PARTS}
     for key, what in state.runs.ask("draft", "cube", files=sent, **about):
-        field, words = key.rpartition(".")[2], for_pages(f"the files do not say it: {what}")
+        field, words = key.rpartition(".")[2], redact(f"the files do not say it: {what}")
         if key.startswith("collection."):
             mistakes.append(FieldMistake(field if field in StatedCollection.model_fields else "header", words))
     deny(mistakes, 422)
