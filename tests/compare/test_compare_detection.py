@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from hyperval import compare, model
 from hyperval.errors import UsageError
-from hyperval.pixels import AlarmBlocks, counts_of, empirical_roc, exceedance_curve, roc_area, with_summary
+from hyperval.pixels import AlarmBlocks, empirical_roc, exceedance_curve, rank_counts, roc_area, with_areas_and_alarms
 from hyperval.products import (
     Abundance,
     AlarmsAtDetection,
@@ -56,7 +56,7 @@ def model_curve(separation, width=0.0, unit="object"):
 def measured_curve(separation, seed=1, targets=30, background=20_000, area=KM2):
     rng = np.random.default_rng(seed)
     t, b = rng.normal(separation, 1, targets), rng.normal(size=background)
-    return with_summary(empirical_roc(t, b, unit="object", background_area_km2=area), t, b)
+    return with_areas_and_alarms(empirical_roc(t, b, unit="object", background_area_km2=area), t, b)
 
 
 def test_overlapping_intervals_are_not_enough():
@@ -115,9 +115,9 @@ def test_areas_with_and_without_estimates():
     for kept, value in ((whole.pfa <= 0.6, 0.0), (whole.pfa <= 0.3, 0.0), (whole.pfa >= 0.02, np.nan)):
         row = roc(curve(whole.pfa[kept], whole.pd[kept]), whole)["auc_difference"]
         assert row.value == pytest.approx(value, abs=5e-3, nan_ok=True)
-    row = roc(whole, with_summary(empirical_roc(t, b, unit="object"), t, b))["auc_difference"]
+    row = roc(whole, with_areas_and_alarms(empirical_roc(t, b, unit="object"), t, b))["auc_difference"]
     assert row.lower < row.value < row.upper
-    assert row.value == pytest.approx(truth - roc_area(counts_of(t, b)), abs=1e-5)
+    assert row.value == pytest.approx(truth - roc_area(rank_counts(t, b)), abs=1e-5)
 
 
 def test_score_moments():
@@ -145,14 +145,14 @@ def test_score_moments():
 
 def clustered(rng):
     common = np.kron(rng.normal(size=(9, 9)), np.ones((8, 8)))
-    return AlarmBlocks.of_map(0.3 + np.sqrt(0.5) * (common + rng.normal(size=(72, 72))), np.ones((72, 72), bool))
+    return AlarmBlocks.from_map(0.3 + np.sqrt(0.5) * (common + rng.normal(size=(72, 72))), np.ones((72, 72), bool))
 
 
 def test_intervals_of_score_moments_cover():
     # 1000 samples of 15 and 300 of clusters, which count as independent pixels hold 0.3 and 0.4: sd 0.7 and 1.3 %.
     # Half of their pixels that a prediction is measured on left 0.3 and 0.4 while they counted as all of them.
     rng, truth = np.random.default_rng(4), {"score_mean_difference": 0.0, "score_sd_ratio": 1.0}
-    few, many = (lambda: AlarmBlocks.of_scores(rng.normal(0.3, 1.0, 15))), (lambda: clustered(rng))
+    few, many = (lambda: AlarmBlocks.from_scores(rng.normal(0.3, 1.0, 15))), (lambda: clustered(rng))
     for seen, count, m in ((few, 1000, 0), (many, 300, 0), (many, 300, 2592)):
         hits = np.zeros(2)
         for blocks in (seen() for _ in range(count)):
@@ -191,7 +191,7 @@ def test_every_subject_of_either_side_has_rows():
 def test_alarms_in_clusters_widen_the_density_and_the_joint_region_as_they_do_at_a_stated_detection():
     # Clusters of 49 equal pixels: the interval is some seven times as wide as that of as many single ones.
     scores = np.random.default_rng(8).standard_normal((30, 30)).repeat(7, 0).repeat(7, 1)
-    blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool))
+    blocks = AlarmBlocks.from_map(scores, np.ones(scores.shape, bool))
     rows = by_metric(compare.alarm_rows(None, empirical_roc([2.0], blocks, [1e-1], background_area_km2=1.0), 1e-1))
     for found, unit in ((rows["far_measured@1e-1"], 44_100.0), (rows["joint_pfa@1e-1"], 1.0)):
         assert found.upper - found.lower > 3.0 * unit * np.diff(model.clopper_pearson(4410, 44_100))
@@ -223,7 +223,7 @@ def test_every_row_of_a_true_prediction_and_of_a_wrong_one():
 
 def test_no_alarm_at_all_still_has_an_upper_limit():
     t, b = np.arange(20) + 100.0, np.random.default_rng(0).normal(size=12_203)
-    measured = with_summary(empirical_roc(t, b, unit="object", background_area_km2=KM2), t, b)
+    measured = with_areas_and_alarms(empirical_roc(t, b, unit="object", background_area_km2=KM2), t, b)
     row = roc(model_curve(9.0), measured)["far_measured@pd0.5"]
     one_sided = model.clopper_pearson(0, 12_203, 0.9)[1] * 12_203 / KM2
     assert (row.value, row.lower, row.upper >= one_sided) == (0.0, 0.0, True)
@@ -396,7 +396,7 @@ def test_ratio_of_false_alarms():
     assert [r.outcome for r in ratios(500).values()] == [Outcome.NONE, Outcome.SKIPPED, Outcome.SKIPPED]
     # Scores that are all equal, and those of which many are: no threshold passes about as many as asked for.
     for values, share in ((np.ones((50, 50)), "0"), (np.arange(2500).reshape(50, 50) // 800, "0.04")):
-        counted = exceedance_curve(AlarmBlocks.of_map(values.astype(float), np.ones((50, 50), bool)))
+        counted = exceedance_curve(AlarmBlocks.from_map(values.astype(float), np.ones((50, 50), bool)))
         found = by_metric(compare.compare_exceedance(ExceedanceCurve(x, *[expected] * 3), counted))
         assert found["pfa_ratio@1e-2"].cause is Cause.BEYOND_CURVE
         assert f"passes {share} of 2500" in found["pfa_ratio@1e-2"].reason

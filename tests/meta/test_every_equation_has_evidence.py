@@ -36,7 +36,7 @@ BESIDE = {
     "of_truth", "on_bands", "own_mean_sampling", "packed", "pixels_of_object", "population_fill", "predicted_areas",
     "predicted_classification", "predicted_error", "probit", "read_statistics_library", "retrieved", "sensor_named",
     "score_distributions", "spread", "stacked", "stacked_fills", "statistics_of_samples", "target_light",
-    "unmixing_method", "unpacked", "usable_bands", "whitened", "whole_object_fills", "wide",
+    "unmixing_method", "unpacked", "usable_bands", "whiten", "whole_object_fills", "wide",
     "with_distances", "write_statistics_library",
 }  # fmt: skip
 ROOT = Path(__file__).parents[2]

@@ -66,6 +66,6 @@ __all__ = [
     "difference_interval", "distance_from_uniform", "drift", "equivalence", "far_at_detection_rows", "in_central_95",
     "independent_pixels", "judged", "judged_together", "marked_as_fitted", "named", "outcome_of",
     "probability_integral_transform", "product_rows", "regions", "row", "sampled", "scientific", "share_inside",
-    "skipped", "spectral_angle_degrees", "summary_intervals", "tail_probability", "whitening",
-    "would_decide", "z_scores",
+    "skipped", "spectral_angle_degrees", "summary_intervals", "tail_probability", "whitening", "would_decide",
+    "z_scores",
 ]  # fmt: skip

@@ -186,14 +186,14 @@ def sampled(
     kurtosis = pixels.kurtosis_parameter(min(tails))
     if math.isinf(kurtosis):
         return without("heavy_tails.covariance", COMPARISON, predicted=tails[0], measured=tails[1])
-    directions = pixels.EigenDirections.of(first)
+    directions = pixels.EigenDirections.from_covariance(first)
     size = directions.values.size
     independent = independent_pixels(n, observed.distribution.get(subject), size)
-    factor = directions.factor_of(second)
+    factor = directions.whitened_factor(second)
     count = max(min(most, size, n - 1, int(independent.min()), factor.shape[1]), 1)
     spaces = tuple(k for k in SPACES if k <= count and k < size)
-    measured = pixels.statistics_of_covariance(directions, factor, count, spaces)
-    full, lacks = pixels.full_rank(independent, size), factor.shape[1] < size
+    measured = pixels.covariance_statistics(directions, factor, count, spaces)
+    full, lacks = pixels.is_full_rank(independent, size), factor.shape[1] < size
     distance = math.nan if not full else math.inf if lacks else pixels.covariance_distance(factor @ factor.T)
     errors = _errors((p, o), bands)
     counts = min(count, EIGENVALUES), count  # a figure's first ones are those of rows
@@ -269,7 +269,7 @@ def _distance_rows(sample: Sampled) -> Iterator[Result]:
     except UsageError:
         distance = math.inf
     if math.isinf(found + distance):
-        ranks = [pixels.EigenDirections.of(c).values.size for c in (first, second)]
+        ranks = [pixels.EigenDirections.from_covariance(c).values.size for c in (first, second)]
         yield from without("no_value.distance", *metrics, predicted=ranks[0], measured=ranks[1], bands=len(first))
         return
     n, rng = sample.independent, partial(np.random.default_rng, _SEED)

@@ -610,10 +610,10 @@ def area_rows(predicted: RocCurve | None, observed: RocCurve | None) -> Iterator
     Examples
     --------
     >>> import numpy as np
-    >>> from hyperval.pixels.roc import empirical_roc, with_summary
+    >>> from hyperval.pixels.roc import empirical_roc, with_areas_and_alarms
     >>> rng = np.random.default_rng(0)
     >>> target, background = rng.normal(2.0, 1.0, 40), rng.normal(size=20_000)
-    >>> measured = with_summary(empirical_roc(target, background), target, background)
+    >>> measured = with_areas_and_alarms(empirical_roc(target, background), target, background)
     >>> [(r.metric, round(r.value, 2)) for r in area_rows(measured, measured)]
     [('auc_predicted', 0.94), ('auc_measured', 0.94), ('auc_difference', 0.0), ('partial_auc_predicted@0..1e-1',
     0.59), ('partial_auc_measured@0..1e-1', 0.59), ('partial_auc_difference@0..1e-1', -0.0),

@@ -529,7 +529,7 @@ def shifted_rows(predicted: Products, observed: Products) -> Iterator[Result]:
     spectra = dict(observed.radiance or observed.reflectance)
     for name, spectrum in predicted.reflectance.items() if not observed.radiance else ():
         edges = pixels.wavelength_shifts(spectrum.mean, predicted.axis, reflectance=True)
-        if any(s.certain and s.feature == pixels.RED_EDGE.name for s in edges):
+        if any(s.is_significant and s.feature == pixels.RED_EDGE.name for s in edges):
             spectra.pop(name, None)
     found = pixels.common_shifts((s.mean for s in spectra.values()), observed.axis, reflectance=not observed.radiance)
     for shift, count in found:

@@ -271,7 +271,7 @@ class _Curves:
 
     def background(self, scores: Array, subject: str, detector: str) -> px.AlarmBlocks:
         """The scores of the background with their places; their exceedance curve is a product."""
-        noise = px.AlarmBlocks.of_map(scores, self.alarms, classes=self.place.classes)
+        noise = px.AlarmBlocks.from_map(scores, self.alarms, classes=self.place.classes)
         if noise.scores.size >= px.FEWEST_FOR_A_CURVE:
             self.products["exceedance"][subject, detector] = px.exceedance_curve(noise)
         return noise
@@ -321,7 +321,7 @@ class _Curves:
         populations = {"pixel": (pixels, noise, noise.scores.size), "object": (greatest, noise, noise.scores.size)}
         if halo:
             off_halo = self.alarms & ~px.mask_with_halo(all_pixels(scored, self.place.cube.shape), halo)
-            by_pixel = px.AlarmBlocks.of_map(scores, off_halo, classes=self.place.classes)
+            by_pixel = px.AlarmBlocks.from_map(scores, off_halo, classes=self.place.classes)
             populations["object"] = greatest, *self._placements(scores, scored)
             populations[BY_PIXEL] = greatest, by_pixel, by_pixel.scores.size
         else:  # the model has no halo
@@ -331,7 +331,7 @@ class _Curves:
             unit: Literal["pixel", "object"] = "pixel" if name == "pixel" else "object"
             km2 = None if area is None else count * area / 1e6
             curve = px.empirical_roc(finite, background, unit=unit, background_area_km2=km2)
-            curve = px.with_summary(curve, finite, background)
+            curve = px.with_areas_and_alarms(curve, finite, background)
             if self.detection.first_detection and name == "object":
                 curve = replace(curve, alarms_before_first=px.alarms_before_first(pixels, noise.scores))
             self.products["roc"][subject, detector, name] = curve
@@ -346,14 +346,14 @@ class _Curves:
             too_large = any(np.greater(shape.shape, scores.shape))
             refuse(too_large, "detection.halo", setting, name=item.name, halo=halo, shape=scores.shape)
         parts = [px.footprint_tiles(scores, shape, ~self.alarms) for shape in shapes.values()]
-        pixel_count = sum(lines.size * shape.size for (_, lines, _), shape in zip(parts, shapes.values(), strict=True))
+        n_pixels = sum(lines.size * shape.size for (_, lines, _), shape in zip(parts, shapes.values(), strict=True))
         maxima = np.concatenate([tile.max(axis=1) for tile, _, _ in parts])
         lines, samples = (np.concatenate(part) for part in list(zip(*parts, strict=True))[1:])
         names = ", ".join(item.name for item in objects)
         refuse(maxima.size == 0, "detection.placements", setting, halo=halo, names=names)
         # Blocks as large on the ground as those of the pixels.
         side = px.block_side(int(np.count_nonzero(self.alarms)))
-        return px.AlarmBlocks.of_places(maxima, lines, samples, side, self.place.classes[lines, samples]), pixel_count
+        return px.AlarmBlocks.from_pixels(maxima, lines, samples, side, self.place.classes[lines, samples]), n_pixels
 
 
 def _add_pools(roc: dict[Any, Any], detection: Detection) -> None:

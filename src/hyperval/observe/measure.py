@@ -65,7 +65,7 @@ class Observed:
     observation: ObservedProducts
     statistics: Mapping[str, ClassStatistics] = field(default_factory=dict)
     place: Place | None = None
-    masks: Labels = field(default_factory=lambda: Labels.of((0, 0)))
+    masks: Labels = field(default_factory=lambda: Labels.from_masks((0, 0)))
     sampling: Mapping[str, EstimatedPart] = field(default_factory=dict)
     detected: Detected | None = None
     unmixed: Unmixed | None = None
@@ -240,11 +240,11 @@ def _spectra(
         radiance[name] = _estimate(cube, sample, error, parts, scale=scale)
         if line is None:
             continue
-        if (used := line.without(name) if name in line.names else line) is None:
+        if (used := line.without_panel(name) if name in line.names else line) is None:
             errors = {LINE: line.error_covariance(sample.mean, own=name)}
             reflectance[name] = _estimate(cube, sample, None, errors, line, circular=CIRCULAR)
         else:
-            errors, estimated = {LINE: used.error_covariance(sample.mean)}, used.estimated(sample.mean)
+            errors, estimated = {LINE: used.error_covariance(sample.mean)}, used.estimated_parts(sample.mean)
             reflectance[name] = _estimate(cube, sample, error, errors, used, estimated, scale=used.scale_errors)
     return {"radiance": radiance if cube.quantity == "radiance" else {}, "reflectance": reflectance}
 
@@ -326,7 +326,7 @@ def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Pix
         return None
     rng = np.random.default_rng(_TAIL_SEED)
     mean, covariance = statistics.mean[bands], statistics.covariance[np.ix_(bands, bands)]
-    eigen = px.EigenDirections.of(covariance)
+    eigen = px.EigenDirections.from_covariance(covariance)
     dimension = min(eigen.values.size, n // PIXELS_PER_BAND)
     vectors, values = eigen.vectors[:, :dimension], eigen.values[:dimension]
     leading, count = px.leading_count(values, float(np.trace(covariance))), min(COMPONENTS, dimension)
@@ -507,7 +507,7 @@ class RegionLaws:
             if tails and dof is not None:  # within the limits of the fit to all pixels
                 remaining, tail = pixels[part != number][:, lead], self._tails[region]
                 limits = tail.leading_lower, tail.leading_upper
-                fit = px.leading_tails(remaining, mean[lead], cov[np.ix_(lead, lead)], limits)
+                fit = px.fit_leading_tails(remaining, mean[lead], cov[np.ix_(lead, lead)], limits)
                 dof, scale = fit.dof if np.isfinite(fit.dof) else None, fit.scale
             law = None if mixture is None else mixture[0].components_without(pixels, part, number)
             replicates.append(replace(full, mean=mean, covariance=cov, tail_dof=dof, tail_scale=scale, components=law))

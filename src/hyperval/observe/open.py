@@ -114,7 +114,8 @@ class Place:
 
         >>> from dataclasses import make_dataclass
         >>> image, one = make_dataclass("Image", ["shape", "gain", "offset"])((6, 1), 1.0, 0.0), np.ones((1, 1), bool)
-        >>> labels = Labels.of((6, 1), {_GUARDED: np.array([[True], [False], [False], [True], [False], [False]])})
+        >>> guarded = np.array([[True], [False], [False], [True], [False], [False]])
+        >>> labels = Labels.from_masks((6, 1), {_GUARDED: guarded})
         >>> planks = [TargetObject(f"plank {line}", "wood", 1.0, 1.0, (6, 1), (line, 0), one) for line in (0, 3)]
         >>> place = Place(image, labels, planks).mistaken({"lines": 2, "beyond": 0.5})
         >>> [target.corner[0] for target in place.targets], place.near_targets[:, 0].nonzero()[0].tolist()
@@ -266,7 +267,7 @@ def open_place(collection: CollectionSection, resolve: Resolve, mistake: Mapping
         guarded = guarded | margin
     by_rule = frozenset(str(r.name) for r in collection.regions if r.normalized_difference is not None)
     notes += [*_region_notes(regions.values(), by_rule), *remarks, *_target_notes(regions.values(), targets, guarded)]
-    labels = Labels.of(cube.shape, {name: region.mask for name, region in regions.items()} | {_GUARDED: guarded})
+    labels = Labels.from_masks(cube.shape, {name: r.mask for name, r in regions.items()} | {_GUARDED: guarded})
     return Place(
         cube, labels, targets, area_m2, truth.pixels if truth else "touched", by_rule, tuple(notes), table,
         frozenset(collection.leave_out),

@@ -225,7 +225,7 @@ def line_warnings(elm: EmpiricalLine) -> Iterator[str]:
     good, usable = int(elm.good.sum()), int((elm.usable & elm.good).sum())
     if usable < FEWEST_USABLE * good:
         yield f"warning: the empirical line can be used in {usable} of {good} good bands only"
-    if (factor := elm.contradiction) > 1.0:
+    if (factor := elm.birge_factor) > 1.0:
         yield said("line.contradiction", times=np.sqrt(factor))
     for name, errors in _left_out(elm).items():
         if errors.size and (error := np.median(np.abs(errors))) > MOST_LEFT_OUT:
@@ -236,7 +236,7 @@ def _left_out(elm: EmpiricalLine) -> dict[str, Array]:
     """Error of each panel's reflectance by the line through the others, where the line can be used and has one."""
     if len(elm.panels) <= 1 + elm.intercept:  # the others are too few
         return {}
-    errors = elm.leave_one_out[:, elm.usable & elm.good]
+    errors = elm.leave_one_out_errors[:, elm.usable & elm.good]
     return {name: error[np.isfinite(error)] for name, error in zip(elm.names, errors, strict=True)}
 
 
@@ -249,7 +249,7 @@ def wavelength_notes(spectra: Iterable[Array], axis: SpectralAxis, *, reflectanc
     for s, count in found:
         error = f"standard uncertainty {s.uncertainty_nm:.1f}"
         parts.append(f"{s.feature} {s.nm:+.1f} nm ({error}, shown by {count} of the spectra)")
-        if s.certain:
+        if s.is_significant:
             facts = {"feature": s.feature, "nm": abs(s.nm), "error": error, "side": "above" if s.nm > 0 else "below"}
             warnings.append(said("wavelengths.shifted", **facts))
     return [said("wavelengths", features="; ".join(parts)), *warnings]

@@ -35,7 +35,7 @@ from hyperval.figures.spec import a_view_each, captioned, columns_of, measured_m
 from hyperval.imagery import ImageGrid, TargetObject, raster_of_size
 from hyperval.model import AREAS, clopper_pearson, predict
 from hyperval.observe import Observed, Place, map_name, open_place, scored_part, target_groups
-from hyperval.pixels import LEAST_EXPECTED_ALARMS, AlarmBlocks, detect, interval_of_mean, object_scores
+from hyperval.pixels import LEAST_EXPECTED_ALARMS, AlarmBlocks, area_interval, detect, object_scores
 from hyperval.products import Products
 from hyperval.progress import step, track
 from hyperval.report.html import page
@@ -102,7 +102,7 @@ class BlockCounts:
 def counts_by_block(scores: Array, background: AlarmBlocks) -> tuple[Counts, Counts]:
     """(P, K) background scores above, and equal to, each of the scores (P,), in each block."""
     falling, place = np.unique(-scores, return_inverse=True)
-    above, reached = (background.counts(x) for x in (-falling, np.nextafter(-falling, -np.inf)))
+    above, reached = (background.counts_above(x) for x in (-falling, np.nextafter(-falling, -np.inf)))
     return above[place], (reached - above)[place]
 
 
@@ -318,7 +318,7 @@ def _limits(item: Index, parts: Array, still: Array, n: int) -> Array:
     for part, moved in zip(parts.T, still, strict=True):
         of_object = np.bincount(item, part) / np.bincount(item)
         spread = float(of_object.var(ddof=1)) / of_object.size if of_object.size > 1 else 0.25
-        limits.append(interval_of_mean(of_object, spread, float(moved.var(ddof=1)), n))
+        limits.append(area_interval(of_object, spread, float(moved.var(ddof=1)), n))
     return np.array(limits).T
 
 
@@ -404,7 +404,7 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
         valid = found.all(axis=0)
         missing[0] += (found.any(axis=0) & ~found).sum(axis=1)
         index = {name: len(item) + i for i, name in enumerate(compress(objects, valid))}
-        blocks = [AlarmBlocks.of_map(one, counted) for one in used[target]]
+        blocks = [AlarmBlocks.from_map(one, counted) for one in used[target]]
         pairs = [counts_by_block(scores[valid], each) for scores, each in zip(greatest, blocks, strict=True)]
         counts.append(np.array(pairs).transpose(1, 2, 0, 3))
         item += [number.setdefault(name, len(number)) for name in index]
@@ -418,7 +418,7 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
         for name, m, n in zip(names, *missing.tolist(), strict=True)
         if m or n
     )
-    return BlockCounts(names, over, tie, blocks[0].pixels, np.array(item, dtype=np.intp), group, density, lost)
+    return BlockCounts(names, over, tie, blocks[0].block_sizes, np.array(item, dtype=np.intp), group, density, lost)
 
 
 def detector_rows(
