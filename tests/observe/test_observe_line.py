@@ -392,7 +392,7 @@ def test_what_a_bad_band_holds_decides_nothing(make_radiance, monkeypatch, lost)
         world.write(values, axis=axis)
         seen = world.observe()
         spectra, line = seen.observation.radiance | seen.observation.reflectance, seen.place.line
-        sides.append([line.birge_factor, seen.place.mistaken({"offset": 0.1}).cube.offset[0]])
+        sides.append([line.birge_factor, seen.place.with_injected_error({"offset": 0.1}).cube.offset[0]])
         sides[-1] += [x for s in spectra.values() for x in (s.n, s.mean[good], s.error_covariance[good][:, good])]
         sides[-1] += [x for s in seen.observation.scores.values() for x in (s.n, s.mean, s.sd)]
     for clean, found in zip(*sides, strict=True):

@@ -13,7 +13,7 @@ from hyperval.collection import Detection
 from hyperval.errors import UsageError
 from hyperval.imagery import open_raster
 from hyperval.model import fill_distribution, pixel_fills, pixels_of_object
-from hyperval.observe import FinerGrid, Place, fills_of, object_of_fills, registration_shifts, window_fills
+from hyperval.observe import FinerGrid, Place, registration_shifts, subject_fills, target_from_fills, window_fills
 from hyperval.scenario import Geometry, Scenario, load_scenario
 from hyperval.spectra import SIGMA_PER_FWHM
 
@@ -39,11 +39,11 @@ def test_pixels_of_a_target_are_those_whose_mean_fill_reaches_the_least():
     least = 0.02
     below = np.nextafter(least, 0.0)
     fills = np.array([[[0.0, 0.04, below], [0.0, least, 1.0]], [[0.0, 0.0, below], [0.0, least, 0.0]]])
-    target = object_of_fills("p", "plank", fills, (4, 7), (9, 11), 3.0, "there")
+    target = target_from_fills("p", "plank", fills, (4, 7), (9, 11), 3.0, "there")
     np.testing.assert_array_equal(target.part, [[True, False], [True, True]])
     assert (target.corner, target.shape, target.area_m2) == ((4, 8), (9, 11), 3.0)
     np.testing.assert_array_equal(target.fills, fills[:, :, 1:])
-    assert fills_of({"planks": [target]}) == {"planks": [[1.0, 0.04, least], [least, 0.0, 0.0]]}
+    assert subject_fills({"planks": [target]}) == {"planks": [[1.0, 0.04, least], [least, 0.0, 0.0]]}
 
 
 def test_an_error_of_registration_widens_the_response_on_average():

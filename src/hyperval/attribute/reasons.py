@@ -86,7 +86,7 @@ class ScenarioModel:
     budgeted : the prediction with its error covariances; what they hold beyond the inputs' directions is added to each
         spectrum
     observe : measures the collection again with changed settings, or with a mistake in its image
-        (:meth:`hyperval.observe.open.Place.mistaken`)
+        (:meth:`hyperval.observe.open.Place.with_injected_error`)
     exchanges : what may stand in each other's place: the settings of :attr:`observe` for each pair, and ""; of a
         number, those of so many steps, and a step in words
     looked_for : entries of the spectra that detectors look for, by their targets

@@ -62,7 +62,7 @@ def completed_scenario(scenario: Scenario, place: observe.Place | None, detectio
         for p in t.populations
         if p.fill.truth is not None
     }
-    fills = observe.fills_of(_members(place, detection)) if asked else {}
+    fills = observe.subject_fills(_members(place, detection)) if asked else {}
     for path, name in asked.items():
         offered = one_of(fills, "targets from a finer image or from abundances")
         refuse(name not in fills, "fractions.fill", name=name, there=offered)
@@ -228,7 +228,7 @@ class Collected:
         return model.Origins(
             self.observed.observation.axis, self._laws.statistics(scenario),
             partial(self.inputs.resolve, base=scenario.folder),  # references of a scenario are relative to its own file
-            left_out=lambda: self._laws.left_out(scenario), read=self.read,
+            left_out=lambda: self._laws.jackknife_replicates(scenario), read=self.read,
         )  # fmt: skip
 
     @cached_property
@@ -475,8 +475,8 @@ def asked_again(side: Collected, prediction: Products) -> ScenarioModel:
             bands_are_off = {"nm", "scale"} & set(mistake)  # regions by rule are then elsewhere too
             opened = partial(observe.open_place, campaign.collection, side.inputs.resolve, mistake)
             place = opened() if bands_are_off else before.place
-            same_pixels = not {"gain", "offset", "nm", "scale"} & mistake.keys()
-            before = replace(before, place=place.mistaken(mistake), sampling=before.sampling if same_pixels else {})
+            same = not {"gain", "offset", "nm", "scale"} & mistake.keys()
+            before = replace(before, place=place.with_injected_error(mistake), sampling=before.sampling if same else {})
         return of_noise(observe.observe(campaign.collection, detection, side.inputs.resolve, before=before).observation)
 
     looked_for = spectra_of(side.campaign.detection.targets if side.campaign.detection else ())

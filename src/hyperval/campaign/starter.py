@@ -384,7 +384,7 @@ class Draft:
     def kinds(self) -> list[RecordedSpectrum]:
         """The spectra, of replicates, whose names differ in their last number alone, the mean."""
         named = grouped(self.spectra, lambda one: re.sub(r"[0-9]+(?=[^0-9]*$)", "#", one.name.lower()))
-        return [one for name, members in named.items() for one in _replicates(name, members)]
+        return [one for name, members in named.items() for one in _jackknifed(name, members)]
 
     def matching(self, name: str) -> RecordedSpectrum | None:
         """The spectrum of the same name, else the only one with all its words, else the only one whose words it has.
@@ -606,7 +606,7 @@ def _records(path: Path, reference: str) -> list[RecordedSpectrum]:
     raise refusal("starter.unit", path)
 
 
-def _replicates(name: str, members: Sequence[RecordedSpectrum]) -> Sequence[RecordedSpectrum]:
+def _jackknifed(name: str, members: Sequence[RecordedSpectrum]) -> Sequence[RecordedSpectrum]:
     """The mean of spectra under one name, where they are as bright to a third; else the spectra as they are.
 
     Spectra of other keys, such as records of a file, or in another unit are no replicates.
@@ -615,7 +615,7 @@ def _replicates(name: str, members: Sequence[RecordedSpectrum]) -> Sequence[Reco
     >>> sources = {"file": "1.csv"}, {"file": "2.csv"}, {"file": "all.csv", "record": "lawn3"}
     >>> each = [RecordedSpectrum(f"lawn{i}", {**source, "reflectance_unit": "percent"}, one)
     ...         for i, source in enumerate(sources, 1)]
-    >>> [spectrum.source for spectrum in _replicates("lawn#", each[:2])], len(_replicates("lawn#", each))
+    >>> [spectrum.source for spectrum in _jackknifed("lawn#", each[:2])], len(_jackknifed("lawn#", each))
     ([{'replicates': {'files': ['1.csv', '2.csv'], 'reflectance_unit': 'percent'}}], 3)
     """
     source, nm = members[0].source, members[0].record.wavelength_nm

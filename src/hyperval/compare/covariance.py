@@ -150,8 +150,8 @@ class Sampled:
     sides: tuple[SpectralEstimate, SpectralEstimate]
     bands: Mask
     covariances: tuple[Array, Array]
-    measured: pixels.Statistics
-    band: pixels.Statistics
+    measured: pixels.CovarianceStatistics
+    band: pixels.CovarianceStatistics
     eigenvalues: Array
     distance: float
     directions: pixels.EigenDirections
@@ -204,12 +204,12 @@ def sampled(
     return Sampled(*both, measured, bands_of[0], drawn, distance, directions, independent, errors, spaces, n, kurtosis)
 
 
-_DRAWN: dict[tuple[Any, ...], pixels.Statistics] = {}
+_DRAWN: dict[tuple[Any, ...], pixels.CovarianceStatistics] = {}
 
 
 def _band(
     directions: pixels.EigenDirections, dof: Array, count: int, spaces: tuple[int, ...], kurtosis: float, errors: Array
-) -> pixels.Statistics:
+) -> pixels.CovarianceStatistics:
     """The draws that rows and figures of a subject share."""
     law = b"".join(x.tobytes() for x in (directions.vectors, directions.values, dof, errors))
     key, rng = (sha256(law).digest(), count, spaces, kurtosis), np.random.default_rng(_SEED)

@@ -642,7 +642,7 @@ class EigenDirections:
         return np.asarray((self.vectors / np.sqrt(self.values)).T @ (other.vectors * np.sqrt(other.values)))
 
 
-class Statistics(NamedTuple):
+class CovarianceStatistics(NamedTuple):
     """Statistics of a covariance S compared with those of Sigma, the predicted; for draws with a leading axis of draws.
 
     Attributes
@@ -659,14 +659,14 @@ class Statistics(NamedTuple):
 
 def covariance_statistics(
     directions: EigenDirections, factor: Array, count: int, spaces: tuple[int, ...]
-) -> Statistics:
+) -> CovarianceStatistics:
     """The statistics of S = V D^1/2 F F^T D^1/2 V^T with F (P, m) in the predicted ``directions``.
 
     ``count`` leading eigenvalues, and the angles of ``spaces``, by the Gram matrix (m, m) of D^1/2 F.
     """
     scaled = np.sqrt(directions.values)[:, None] * factor
     eigenvalues, angles = _eigen_angles(scaled.T @ scaled, scaled[: max(spaces, default=0)], count, spaces, 0.0)
-    return Statistics(eigenvalues, np.asarray(np.sum(scaled**2)), angles)
+    return CovarianceStatistics(eigenvalues, np.asarray(np.sum(scaled**2)), angles)
 
 
 def _eigen_angles(gram: Array, rows: Array, count: int, spaces: tuple[int, ...], tail: float) -> tuple[Array, Array]:
@@ -744,7 +744,7 @@ def sampling_band(
     kurtosis: float = 0.0,
     draws: int = DRAWS,
     errors: Array | None = None,
-) -> Statistics:
+) -> CovarianceStatistics:
     """Sampling distributions of the statistics under the predicted covariance; each statistic by draws of its own.
 
     The trace is drawn as a sum of chi-squares.  Eigenvalues and angles are those of the leading directions, to
@@ -804,7 +804,7 @@ def sampling_band(
     eigenvalues, angles = (np.concatenate(part) for part in zip(*parts, strict=True))
     scale_factor = np.exp(rng.normal(0.0, np.sqrt(kurtosis / n.min()), draws))
     total = np.concatenate(trace) * scale_factor * ((rng.chisquare(dof, (draws, size)) / dof) @ values)
-    return Statistics(eigenvalues, total, angles)
+    return CovarianceStatistics(eigenvalues, total, angles)
 
 
 def distance_band(
