@@ -12,7 +12,7 @@ from hyperval.campaign import completed_scenario
 from hyperval.collection import Detection
 from hyperval.errors import UsageError
 from hyperval.imagery import open_raster
-from hyperval.model import fill_distribution, pixel_fills, pixels_of_object
+from hyperval.model import fill_distribution, object_pixel_count, pixel_fills
 from hyperval.observe import FinerGrid, Place, registration_shifts, subject_fills, target_from_fills, window_fills
 from hyperval.scenario import Geometry, Scenario, load_scenario
 from hyperval.spectra import SIGMA_PER_FWHM
@@ -97,7 +97,7 @@ def test_a_scenario_takes_the_fills_of_the_truth(finer):
     taken = completed_scenario(scenario({"truth": True}), place, detection)
     plank, fill = place.targets[0], taken.scene.targets[0].fill
     assert fill_distribution(fill).mean == pytest.approx(plank.fills[:, plank.part].mean(), rel=1e-9)
-    assert pixels_of_object(fill) == plank.part.sum()
+    assert object_pixel_count(fill) == plank.part.sum()
     untouched = scenario({"fixed": 0.4})
     assert completed_scenario(untouched, place, detection) is untouched
     with pytest.raises(UsageError, match=r"does not hold the fill fractions(?s:.*)state its fill"):

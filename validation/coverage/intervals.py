@@ -87,7 +87,7 @@ def detection(rng: np.random.Generator, clustered: bool) -> Intervals:
 
 def _true_areas(separation: float) -> dict[str, float]:
     s = stats.norm.sf(stats.norm.ppf((np.arange(40_000) + 0.5) / 40_000, loc=separation))
-    return {name: float(area.share(s).mean()) for name, area in AREAS.items()}
+    return {name: float(area.weight(s).mean()) for name, area in AREAS.items()}
 
 
 def areas(rng: np.random.Generator, clustered: bool) -> Intervals:

@@ -199,7 +199,7 @@ def _differences(place: observe.Place, fill: Fill, members: Sequence[TargetObjec
     if geometry is None or not members:
         return
     is_touched = geometry.pixels == "touched"
-    stated = float(np.mean(model.touched_counts(geometry)) if is_touched else model.pixels_of_object(fill))
+    stated = float(np.mean(model.touched_counts(geometry)) if is_touched else model.object_pixel_count(fill))
     counted = float(np.mean([np.count_nonzero(observe.scored_part(o, place).part) for o in members]))
     pixel_m, sides_m = math.sqrt(place.pixel_area_m2 or 0.0), [o.side_m for o in members if math.isfinite(o.side_m)]
     side_m = float(np.mean(sides_m)) if sides_m else None

@@ -599,9 +599,9 @@ def _influence_values(counts: RankCounts, area: RocArea) -> tuple[Array, Counts]
     a, b, untied = area.low, area.high, tie <= 0.0
     with np.errstate(divide="ignore"):
         slope = 1.0 / (np.maximum(s, 1e-300) * np.log(b / a)) if area.logarithmic else 1.0 / (b - a)
-    width, ends = np.where(untied, 1.0, tie), area.share(s + tie)
+    width, ends = np.where(untied, 1.0, tie), area.weight(s + tie)
     # Decrease of the mean of g along the tie by one more score above the target, or level with it.
-    above = np.where(untied, np.where((s >= a) & (s < b), -slope, 0.0), (ends - area.share(s)) / width)
+    above = np.where(untied, np.where((s >= a) & (s < b), -slope, 0.0), (ends - area.weight(s)) / width)
     level = (ends - area.averaged(s, tie)) / width
     # A score between targets k - 1 and k lies above targets 0 .. k - 1; one equal to target k is level with it too.
     between = np.concatenate([[0.0], np.cumsum(counts.targets * above)]) / counts.n_target
