@@ -475,7 +475,7 @@ def test_falsified_scores_turn_the_verdict():
         measured = {name: ObjectScores(change(values), (name,)) for name, values in truth.items()}
         rows = compare.compare_object_scores(predicted, measured, method="cem")
         judgements = by_metric(
-            r for r in compare.judged(rows, [compare.Gate(metric=metric, **plan) for metric in tests]) if r.gates
+            r for r in compare.judge_rows(rows, [compare.Gate(metric=metric, **plan) for metric in tests]) if r.gates
         )
         return [judgements[metric].outcome for metric in tests]
 
@@ -596,13 +596,13 @@ def test_limits_and_their_words():
 def test_the_rows_that_a_gate_is_about():
     gate = compare.Gate(**{**RADIANCE, "metric": "difference_ratio", "within": [-0.1, 0.1], "bands_nm": [500, 600]})
     bands = (499.9, 500.0, 600.0, 600.1)
-    assert [gate.covers(row("difference_ratio", band_nm=band)) for band in bands] == [False, True, True, False]
-    assert not gate.covers(row("difference_ratio", product="reflectance", band_nm=550.0))
-    assert gate.covers(row(compare.COMPARISON))  # a skipped comparison has no band
+    assert [gate.matches(row("difference_ratio", band_nm=band)) for band in bands] == [False, True, True, False]
+    assert not gate.matches(row("difference_ratio", product="reflectance", band_nm=550.0))
+    assert gate.matches(row(compare.COMPARISON))  # a skipped comparison has no band
     only = compare.Gate(**{**RADIANCE, "at_most": 0.1, "subjects": ["court*"], "method": "rad*"})
-    assert not only.covers(row())
+    assert not only.matches(row())
     at = compare.Gate(product="roc", metric="pd_difference", within=(-0.1, 0.1), reason="r")
-    assert at.covers(row("pd_difference@1e-2", product="roc"))
+    assert at.matches(row("pd_difference@1e-2", product="roc"))
 
 
 def test_intervals_of_all_criteria_share_their_level():
@@ -611,11 +611,11 @@ def test_intervals_of_all_criteria_share_their_level():
     gate = compare.Gate(**RADIANCE, within=[-0.1, 0.1])
     beside = [row(value=k, lower=k - 1.96, upper=k + 1.96) for k in (*[2.5] * 20, 4.0)]
     beside += [row(value=-x.value, lower=-x.upper, upper=-x.lower) for x in beside]
-    out = compare.judged(beside, [gate])
+    out = compare.judge_rows(beside, [gate])
     assert [r.outcome for r in out] == ([Outcome.UNDECIDED] * 20 + [Outcome.DISAGREES]) * 2
     assert {r.cause for r in out if r.outcome is Outcome.UNDECIDED} == {Cause.MULTIPLICITY}
-    assert compare.judged(beside[:1], [gate])[0].outcome is Outcome.DISAGREES  # alone it has the whole level
-    assert compare.judged(beside[:20], [gate.model_copy(update={"gate": False})])[0].outcome is Outcome.DISAGREES
+    assert compare.judge_rows(beside[:1], [gate])[0].outcome is Outcome.DISAGREES  # alone it has the whole level
+    assert compare.judge_rows(beside[:20], [gate.model_copy(update={"gate": False})])[0].outcome is Outcome.DISAGREES
 
 
 @pytest.mark.parametrize(
@@ -639,14 +639,14 @@ def test_the_level_at_which_an_interval_would_reach_equality(metric, value, lowe
 def test_departures_that_a_range_would_see():
     reach = 1.0 + 0.8416212335729143 / 1.959963984540054
     both = row(value=0.01, lower=-0.01, upper=0.02)  # 0.02 below, 0.01 above
-    assert np.fmin(*compare.detectable_sides(both, -0.1, math.inf)) == pytest.approx(0.1 + 0.01 * reach)
-    assert np.fmin(*compare.detectable_sides(both, -math.inf, 0.1)) == pytest.approx(0.1 + 0.02 * reach)
-    assert np.fmin(*compare.detectable_sides(both, -0.1, 0.05)) == pytest.approx(0.05 + 0.02 * reach)
-    assert math.isnan(np.fmin(*compare.detectable_sides(row(value=0.0), -0.1, 0.1)))
+    assert np.fmin(*compare.detectable_departures(both, -0.1, math.inf)) == pytest.approx(0.1 + 0.01 * reach)
+    assert np.fmin(*compare.detectable_departures(both, -math.inf, 0.1)) == pytest.approx(0.1 + 0.02 * reach)
+    assert np.fmin(*compare.detectable_departures(both, -0.1, 0.05)) == pytest.approx(0.05 + 0.02 * reach)
+    assert math.isnan(np.fmin(*compare.detectable_departures(row(value=0.0), -0.1, 0.1)))
     # A size cut at 0 says nothing of its width: the upper half stands for it.
     size = row("median_abs_difference_ratio_windows", 0.01, 0.0, 0.05)
-    assert np.fmin(*compare.detectable_sides(size, -math.inf, 0.1)) == pytest.approx(0.1 + 0.04 * reach)
-    assert compare.judged([row("p_value_full", 0.5, detectable=0.3)], [])[0].detectable == 0.3
+    assert np.fmin(*compare.detectable_departures(size, -math.inf, 0.1)) == pytest.approx(0.1 + 0.04 * reach)
+    assert compare.judge_rows([row("p_value_full", 0.5, detectable=0.3)], [])[0].detectable == 0.3
     assert math.isnan(compare.detectable_share(5, 0.1))  # even none of five leaves the share of 0.1 possible
 
 
@@ -655,7 +655,7 @@ def test_a_pooled_gate_counts_what_cannot_tell_against_it_below_and_for_it_above
         limits = {"metric": "difference_ratio", "within": (-0.1, 0.1), "fraction_at_least": least}
         ends = [(0.0, -0.01, 0.01)] * good + [(0.3, 0.29, 0.31)] * bad + [(0.0, -0.5, 0.5)] * unsure
         rows = [row("difference_ratio", *numbers, band_nm=500.0 + i) for i, numbers in enumerate(ends)]
-        *rows, share = compare.judged(rows, [compare.Gate(**RADIANCE | limits | more)])
+        *rows, share = compare.judge_rows(rows, [compare.Gate(**RADIANCE | limits | more)])
         assert all(r.role is not Role.GATE for r in rows)
         return share
 
@@ -684,7 +684,7 @@ def test_a_pooled_gate_counts_what_cannot_tell_against_it_below_and_for_it_above
 def test_a_gate_that_meets_no_row_is_told_what_comes_near(change, told):
     rows = [Result("c", "roc", "planks", "cem/pixel", f"pd_inside_interval@{p}", 1.0) for p in ("1e-2", "1e-3")]
     given = {"product": "roc", "metric": "pd_inside_interval", "at_least": 1, "reason": "r", **change}
-    (row,) = [r for r in compare.judged(rows, [compare.Gate(**given)]) if r.outcome is Outcome.ERROR]
+    (row,) = [r for r in compare.judge_rows(rows, [compare.Gate(**given)]) if r.outcome is Outcome.ERROR]
     assert row.reason.startswith("planned but absent: no roc row")
     assert told is None or told in row.reason
     assert told is not None or "; " not in row.reason

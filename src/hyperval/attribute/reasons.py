@@ -32,7 +32,7 @@ from hyperval.attribute.posterior import ALL, NONE, NOTHING, Posterior, Residual
 from hyperval.attribute.residuals import LIT, POINTS, SPECTRUM_FLOOR, Quantity, Stack, quantities, stack_of
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
-from hyperval.compare.rows import named, row, scientific
+from hyperval.compare.rows import named, row, short_label
 from hyperval.data import Array, Index
 from hyperval.errors import EngineError, HypervalError, MissingDataError, UsageError, needed, refuse
 from hyperval.model import Truth, World
@@ -1045,7 +1045,7 @@ def alarm_ratios(predicted: Products, observed: Products) -> dict[Key, Result]:
     >>> [(r.subject, r.method, r.n, r.metric, round(r.value, 9)) for r in alarm_ratios(*sides).values()]
     [('roof background', 'cem', None, 'pfa_ratio@1e-2', 1.0)]
     """
-    wanted = {f"pfa_ratio@{scientific(level)}" for level in POINTS}
+    wanted = {f"pfa_ratio@{short_label(level)}" for level in POINTS}
     return {
         (background_of(name), detector, one.metric): replace(one, subject=background_of(name), method=detector, n=None)
         for (name, detector), measured in observed.exceedance.items()

@@ -22,7 +22,7 @@ from hyperval.atmosphere.solar import parse_utc
 from hyperval.attribute import ScenarioModel, Truths, exchanged_pairs, few_objects, others_in_place, scale_warnings
 from hyperval.campaign.schema import Campaign, Job, scenarios_of
 from hyperval.collection import Detection
-from hyperval.compare import compare_products, judged, marked_as_fitted, would_decide
+from hyperval.compare import compare_products, judge_rows, mark_fitted, would_decide
 from hyperval.compare.spectra import LEAST_OF_NOISE, snr_beside_texture
 from hyperval.config import twice
 from hyperval.data import NUMERICAL_DETECTORS, Mask
@@ -406,7 +406,7 @@ def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
     margin, fitted_on = campaign.equivalence_margin, campaign.fitted_on
     rows = compare_products(*sides, method=method, equivalence_margin=margin, fitted_on=fitted_on)
     pools = {pool.name: pool.subjects for pool in campaign.detection.pools} if campaign.detection else {}
-    return marked_as_fitted(judged(rows, campaign.comparisons), fitted_on, pools)
+    return mark_fitted(judge_rows(rows, campaign.comparisons), fitted_on, pools)
 
 
 def undecided(side: Collected, rows: Iterable[Result], prediction: Products) -> list[tuple[Result, str]]:

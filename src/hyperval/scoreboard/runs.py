@@ -25,7 +25,7 @@ from scipy import special, stats
 
 from hyperval.campaign import Campaign, Job, collected, command_without_output, jobs_of, record_of
 from hyperval.collection import Detection
-from hyperval.compare import EVERY_OBJECT, named, product_rows, row, skipped
+from hyperval.compare import EVERY_OBJECT, named, product_rows, row, skip_rows
 from hyperval.data import Array, Counts, Index
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, MissingDataError, UsageError, refusal, refuse, words_and_code
@@ -428,7 +428,7 @@ def detector_rows(
     place = observed.place
     if detection is None or place is None or observed.detected is None:
         why = "the campaign looks for no targets"
-        return list(named(skipped(Cause.NO_OBSERVATION, why, "rank"), PRODUCT, EVERY_OBJECT, "detectors")), ()
+        return list(named(skip_rows(Cause.NO_OBSERVATION, why, "rank"), PRODUCT, EVERY_OBJECT, "detectors")), ()
     maps = observed.detected.score_maps
     rows = list(side_rows(observed.observation, "measured"))
     counts = block_counts(place, maps, detection)
@@ -440,7 +440,7 @@ def detector_rows(
                 ranks = ranked(counts, list(columns), measure, draws=DRAWS, rng=np.random.default_rng(seed))
                 rows += rank_rows(name, counts, measure, ranks)
     for name, reason in left_out.items():
-        rows += named(skipped(Cause.REFUSED, reason, "rank"), PRODUCT, EVERY_OBJECT, f"{name}/object")
+        rows += named(skip_rows(Cause.REFUSED, reason, "rank"), PRODUCT, EVERY_OBJECT, f"{name}/object")
     return rows, tuple(f"warning: {what}" for what in counts.lost)
 
 
@@ -467,7 +467,7 @@ def rank_rows(group: str, counts: BlockCounts, measure: Measure, ranks: RankedDe
     why = "every target at the same P_FA through its own filter; objects and blocks of the background sampled"
     scale, unit = (counts.density_km2, "km-2") if measure.of_look is None else (1.0, "1")
     if group == EVERY_OBJECT and math.isnan(scale):
-        unknown = skipped(Cause.NO_GROUND_AREA, "the ground area of the background is not known", name)
+        unknown = skip_rows(Cause.NO_GROUND_AREA, "the ground area of the background is not known", name)
         rows += named(unknown, PRODUCT, group, "detectors")
     for d, detector in enumerate(counts.detectors):
         value, *ends = (float(each[d]) * scale for each in (ranks.value, ranks.lower, ranks.upper))
@@ -501,7 +501,7 @@ def peer_rows(observed: Observed, detection: Detection | None) -> list[Result]:
     cube, bands = place.cube, np.flatnonzero(detected.bank.bands)
     if cube.lines * cube.samples * bands.size > detect.MOST_VALUES:
         why = f"SPy holds the image in memory, and it has more than {detect.MOST_VALUES:.0e} values"
-        return list(named(skipped(Cause.REFUSED, why, "auc"), PRODUCT, EVERY_OBJECT, PEER))
+        return list(named(skip_rows(Cause.REFUSED, why, "auc"), PRODUCT, EVERY_OBJECT, PEER))
     image = np.concatenate([block.values[..., bands] for block in cube.blocks()])
     if place.line is not None:
         image = (image - place.line.offset[bands]) / place.line.gain[bands]
@@ -520,7 +520,7 @@ def peer_rows(observed: Observed, detection: Detection | None) -> list[Result]:
         for subject, objects in subjects.items():
             pixels = np.concatenate([scores[o.window][o.part] for o in objects])
             pixels = pixels[np.isfinite(pixels)]
-            found = skipped(Cause.NO_OBSERVATION, "no valid pixel on the targets or in the background", "auc")
+            found = skip_rows(Cause.NO_OBSERVATION, "no valid pixel on the targets or in the background", "auc")
             if pixels.size and noise.size:
                 share = stats.mannwhitneyu(pixels, noise).statistic / (pixels.size * noise.size)
                 found = [row("auc", float(share), n=int(pixels.size), reason=version)]
