@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from predict_speed import best_of
 
-from hyperval.pixels import area_variance, counts_of, empirical_roc, roc_area
+from hyperval.pixels import area_variance, empirical_roc, rank_counts, roc_area
 
 BACKGROUND, TARGETS = 640_000, 80
 LIMITS_MS = {"counts among the targets": 10.0, "curve with intervals": 10.0, "AUC with DeLong": 50.0}
@@ -22,12 +22,12 @@ def main():
     background, target = rng.normal(size=BACKGROUND), rng.normal(2.0, 1.0, TARGETS)
 
     def auc_and_variance():
-        again = counts_of(target, background)
+        again = rank_counts(target, background)
         return roc_area(again), area_variance(again)
 
     rows = {
         "sorting the background": lambda: np.sort(background),
-        "counts among the targets": lambda: counts_of(target, background),
+        "counts among the targets": lambda: rank_counts(target, background),
         "curve with intervals": lambda: empirical_roc(target, background),
         "AUC with DeLong": auc_and_variance,
     }

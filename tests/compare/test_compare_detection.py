@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from hyperval import compare, model
 from hyperval.errors import UsageError
-from hyperval.pixels import AlarmBlocks, counts_of, empirical_roc, exceedance_curve, roc_area, with_summary
+from hyperval.pixels import AlarmBlocks, empirical_roc, exceedance_curve, rank_counts, roc_area, with_areas_and_alarms
 from hyperval.products import (
     Abundance,
     AlarmsAtDetection,
@@ -56,7 +56,7 @@ def model_curve(separation, width=0.0, unit="object"):
 def measured_curve(separation, seed=1, targets=30, background=20_000, area=KM2):
     rng = np.random.default_rng(seed)
     t, b = rng.normal(separation, 1, targets), rng.normal(size=background)
-    return with_summary(empirical_roc(t, b, unit="object", background_area_km2=area), t, b)
+    return with_areas_and_alarms(empirical_roc(t, b, unit="object", background_area_km2=area), t, b)
 
 
 def test_overlapping_intervals_are_not_enough():
@@ -115,9 +115,9 @@ def test_areas_with_and_without_estimates():
     for kept, value in ((whole.pfa <= 0.6, 0.0), (whole.pfa <= 0.3, 0.0), (whole.pfa >= 0.02, np.nan)):
         row = roc(curve(whole.pfa[kept], whole.pd[kept]), whole)["auc_difference"]
         assert row.value == pytest.approx(value, abs=5e-3, nan_ok=True)
-    row = roc(whole, with_summary(empirical_roc(t, b, unit="object"), t, b))["auc_difference"]
+    row = roc(whole, with_areas_and_alarms(empirical_roc(t, b, unit="object"), t, b))["auc_difference"]
     assert row.lower < row.value < row.upper
-    assert row.value == pytest.approx(truth - roc_area(counts_of(t, b)), abs=1e-5)
+    assert row.value == pytest.approx(truth - roc_area(rank_counts(t, b)), abs=1e-5)
 
 
 def test_score_moments():
@@ -145,14 +145,14 @@ def test_score_moments():
 
 def clustered(rng):
     common = np.kron(rng.normal(size=(9, 9)), np.ones((8, 8)))
-    return AlarmBlocks.of_map(0.3 + np.sqrt(0.5) * (common + rng.normal(size=(72, 72))), np.ones((72, 72), bool))
+    return AlarmBlocks.from_map(0.3 + np.sqrt(0.5) * (common + rng.normal(size=(72, 72))), np.ones((72, 72), bool))
 
 
 def test_intervals_of_score_moments_cover():
     # 1000 samples of 15 and 300 of clusters, which count as independent pixels hold 0.3 and 0.4: sd 0.7 and 1.3 %.
     # Half of their pixels that a prediction is measured on left 0.3 and 0.4 while they counted as all of them.
     rng, truth = np.random.default_rng(4), {"score_mean_difference": 0.0, "score_sd_ratio": 1.0}
-    few, many = (lambda: AlarmBlocks.of_scores(rng.normal(0.3, 1.0, 15))), (lambda: clustered(rng))
+    few, many = (lambda: AlarmBlocks.from_scores(rng.normal(0.3, 1.0, 15))), (lambda: clustered(rng))
     for seen, count, m in ((few, 1000, 0), (many, 300, 0), (many, 300, 2592)):
         hits = np.zeros(2)
         for blocks in (seen() for _ in range(count)):
@@ -191,7 +191,7 @@ def test_every_subject_of_either_side_has_rows():
 def test_alarms_in_clusters_widen_the_density_and_the_joint_region_as_they_do_at_a_stated_detection():
     # Clusters of 49 equal pixels: the interval is some seven times as wide as that of as many single ones.
     scores = np.random.default_rng(8).standard_normal((30, 30)).repeat(7, 0).repeat(7, 1)
-    blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool))
+    blocks = AlarmBlocks.from_map(scores, np.ones(scores.shape, bool))
     rows = by_metric(compare.alarm_rows(None, empirical_roc([2.0], blocks, [1e-1], background_area_km2=1.0), 1e-1))
     for found, unit in ((rows["far_measured@1e-1"], 44_100.0), (rows["joint_pfa@1e-1"], 1.0)):
         assert found.upper - found.lower > 3.0 * unit * np.diff(model.clopper_pearson(4410, 44_100))
@@ -223,7 +223,7 @@ def test_every_row_of_a_true_prediction_and_of_a_wrong_one():
 
 def test_no_alarm_at_all_still_has_an_upper_limit():
     t, b = np.arange(20) + 100.0, np.random.default_rng(0).normal(size=12_203)
-    measured = with_summary(empirical_roc(t, b, unit="object", background_area_km2=KM2), t, b)
+    measured = with_areas_and_alarms(empirical_roc(t, b, unit="object", background_area_km2=KM2), t, b)
     row = roc(model_curve(9.0), measured)["far_measured@pd0.5"]
     one_sided = model.clopper_pearson(0, 12_203, 0.9)[1] * 12_203 / KM2
     assert (row.value, row.lower, row.upper >= one_sided) == (0.0, 0.0, True)
@@ -396,7 +396,7 @@ def test_ratio_of_false_alarms():
     assert [r.outcome for r in ratios(500).values()] == [Outcome.NONE, Outcome.SKIPPED, Outcome.SKIPPED]
     # Scores that are all equal, and those of which many are: no threshold passes about as many as asked for.
     for values, share in ((np.ones((50, 50)), "0"), (np.arange(2500).reshape(50, 50) // 800, "0.04")):
-        counted = exceedance_curve(AlarmBlocks.of_map(values.astype(float), np.ones((50, 50), bool)))
+        counted = exceedance_curve(AlarmBlocks.from_map(values.astype(float), np.ones((50, 50), bool)))
         found = by_metric(compare.compare_exceedance(ExceedanceCurve(x, *[expected] * 3), counted))
         assert found["pfa_ratio@1e-2"].cause is Cause.BEYOND_CURVE
         assert f"passes {share} of 2500" in found["pfa_ratio@1e-2"].reason
@@ -475,7 +475,7 @@ def test_falsified_scores_turn_the_verdict():
         measured = {name: ObjectScores(change(values), (name,)) for name, values in truth.items()}
         rows = compare.compare_object_scores(predicted, measured, method="cem")
         judgements = by_metric(
-            r for r in compare.judged(rows, [compare.Gate(metric=metric, **plan) for metric in tests]) if r.gates
+            r for r in compare.judge_rows(rows, [compare.Gate(metric=metric, **plan) for metric in tests]) if r.gates
         )
         return [judgements[metric].outcome for metric in tests]
 
@@ -596,13 +596,13 @@ def test_limits_and_their_words():
 def test_the_rows_that_a_gate_is_about():
     gate = compare.Gate(**{**RADIANCE, "metric": "difference_ratio", "within": [-0.1, 0.1], "bands_nm": [500, 600]})
     bands = (499.9, 500.0, 600.0, 600.1)
-    assert [gate.covers(row("difference_ratio", band_nm=band)) for band in bands] == [False, True, True, False]
-    assert not gate.covers(row("difference_ratio", product="reflectance", band_nm=550.0))
-    assert gate.covers(row(compare.COMPARISON))  # a skipped comparison has no band
+    assert [gate.matches(row("difference_ratio", band_nm=band)) for band in bands] == [False, True, True, False]
+    assert not gate.matches(row("difference_ratio", product="reflectance", band_nm=550.0))
+    assert gate.matches(row(compare.COMPARISON))  # a skipped comparison has no band
     only = compare.Gate(**{**RADIANCE, "at_most": 0.1, "subjects": ["court*"], "method": "rad*"})
-    assert not only.covers(row())
+    assert not only.matches(row())
     at = compare.Gate(product="roc", metric="pd_difference", within=(-0.1, 0.1), reason="r")
-    assert at.covers(row("pd_difference@1e-2", product="roc"))
+    assert at.matches(row("pd_difference@1e-2", product="roc"))
 
 
 def test_intervals_of_all_criteria_share_their_level():
@@ -611,11 +611,11 @@ def test_intervals_of_all_criteria_share_their_level():
     gate = compare.Gate(**RADIANCE, within=[-0.1, 0.1])
     beside = [row(value=k, lower=k - 1.96, upper=k + 1.96) for k in (*[2.5] * 20, 4.0)]
     beside += [row(value=-x.value, lower=-x.upper, upper=-x.lower) for x in beside]
-    out = compare.judged(beside, [gate])
+    out = compare.judge_rows(beside, [gate])
     assert [r.outcome for r in out] == ([Outcome.UNDECIDED] * 20 + [Outcome.DISAGREES]) * 2
     assert {r.cause for r in out if r.outcome is Outcome.UNDECIDED} == {Cause.MULTIPLICITY}
-    assert compare.judged(beside[:1], [gate])[0].outcome is Outcome.DISAGREES  # alone it has the whole level
-    assert compare.judged(beside[:20], [gate.model_copy(update={"gate": False})])[0].outcome is Outcome.DISAGREES
+    assert compare.judge_rows(beside[:1], [gate])[0].outcome is Outcome.DISAGREES  # alone it has the whole level
+    assert compare.judge_rows(beside[:20], [gate.model_copy(update={"gate": False})])[0].outcome is Outcome.DISAGREES
 
 
 @pytest.mark.parametrize(
@@ -639,14 +639,14 @@ def test_the_level_at_which_an_interval_would_reach_equality(metric, value, lowe
 def test_departures_that_a_range_would_see():
     reach = 1.0 + 0.8416212335729143 / 1.959963984540054
     both = row(value=0.01, lower=-0.01, upper=0.02)  # 0.02 below, 0.01 above
-    assert np.fmin(*compare.detectable_sides(both, -0.1, math.inf)) == pytest.approx(0.1 + 0.01 * reach)
-    assert np.fmin(*compare.detectable_sides(both, -math.inf, 0.1)) == pytest.approx(0.1 + 0.02 * reach)
-    assert np.fmin(*compare.detectable_sides(both, -0.1, 0.05)) == pytest.approx(0.05 + 0.02 * reach)
-    assert math.isnan(np.fmin(*compare.detectable_sides(row(value=0.0), -0.1, 0.1)))
+    assert np.fmin(*compare.detectable_departures(both, -0.1, math.inf)) == pytest.approx(0.1 + 0.01 * reach)
+    assert np.fmin(*compare.detectable_departures(both, -math.inf, 0.1)) == pytest.approx(0.1 + 0.02 * reach)
+    assert np.fmin(*compare.detectable_departures(both, -0.1, 0.05)) == pytest.approx(0.05 + 0.02 * reach)
+    assert math.isnan(np.fmin(*compare.detectable_departures(row(value=0.0), -0.1, 0.1)))
     # A size cut at 0 says nothing of its width: the upper half stands for it.
     size = row("median_abs_difference_ratio_windows", 0.01, 0.0, 0.05)
-    assert np.fmin(*compare.detectable_sides(size, -math.inf, 0.1)) == pytest.approx(0.1 + 0.04 * reach)
-    assert compare.judged([row("p_value_full", 0.5, detectable=0.3)], [])[0].detectable == 0.3
+    assert np.fmin(*compare.detectable_departures(size, -math.inf, 0.1)) == pytest.approx(0.1 + 0.04 * reach)
+    assert compare.judge_rows([row("p_value_full", 0.5, detectable=0.3)], [])[0].detectable == 0.3
     assert math.isnan(compare.detectable_share(5, 0.1))  # even none of five leaves the share of 0.1 possible
 
 
@@ -655,7 +655,7 @@ def test_a_pooled_gate_counts_what_cannot_tell_against_it_below_and_for_it_above
         limits = {"metric": "difference_ratio", "within": (-0.1, 0.1), "fraction_at_least": least}
         ends = [(0.0, -0.01, 0.01)] * good + [(0.3, 0.29, 0.31)] * bad + [(0.0, -0.5, 0.5)] * unsure
         rows = [row("difference_ratio", *numbers, band_nm=500.0 + i) for i, numbers in enumerate(ends)]
-        *rows, share = compare.judged(rows, [compare.Gate(**RADIANCE | limits | more)])
+        *rows, share = compare.judge_rows(rows, [compare.Gate(**RADIANCE | limits | more)])
         assert all(r.role is not Role.GATE for r in rows)
         return share
 
@@ -684,7 +684,7 @@ def test_a_pooled_gate_counts_what_cannot_tell_against_it_below_and_for_it_above
 def test_a_gate_that_meets_no_row_is_told_what_comes_near(change, told):
     rows = [Result("c", "roc", "planks", "cem/pixel", f"pd_inside_interval@{p}", 1.0) for p in ("1e-2", "1e-3")]
     given = {"product": "roc", "metric": "pd_inside_interval", "at_least": 1, "reason": "r", **change}
-    (row,) = [r for r in compare.judged(rows, [compare.Gate(**given)]) if r.outcome is Outcome.ERROR]
+    (row,) = [r for r in compare.judge_rows(rows, [compare.Gate(**given)]) if r.outcome is Outcome.ERROR]
     assert row.reason.startswith("planned but absent: no roc row")
     assert told is None or told in row.reason
     assert told is not None or "; " not in row.reason

@@ -234,7 +234,7 @@ def test_a_prediction_that_is_too_bright_has_a_positive_z():
 def told(metric, value, *, product="radiance", limits=None, **more) -> Result:
     limits = limits or {"within": (-0.05, 0.05)}
     gate = compare.Gate(product=product, metric=metric, reason="r", chosen_after=True, before="nothing", **limits)
-    (row,) = compare.judged([Result("", product, "s", "m", metric, value, **more)], [gate])
+    (row,) = compare.judge_rows([Result("", product, "s", "m", metric, value, **more)], [gate])
     return row
 
 
@@ -247,7 +247,7 @@ def test_a_number_is_told_in_units_of_the_field():
     assert (row.effect_unit, row.set_after) == ("% of radiance", True)
     ratio = told("area_ratio", 1.1, product="abundance", lower=0.9, upper=1.3, limits={"within": (0.75, 1.25)})
     assert (ratio.effect, ratio.effect_upper, ratio.accepted_low, ratio.ideal) == pytest.approx((10.0, 30.0, -25.0, 0))
-    (unplanned,) = compare.judged([Result("", "radiance", "s", "m", "bias_ratio", 0.1, lower=0.0, upper=0.2)], [])
+    (unplanned,) = compare.judge_rows([Result("", "radiance", "s", "m", "bias_ratio", 0.1, lower=0.0, upper=0.2)], [])
     assert math.isnan(unplanned.effect)
 
 
@@ -296,7 +296,7 @@ def test_a_drift_against_a_range():
     values = 0.02 * YEARS + 1e-3 * np.sin(40.0 * YEARS)
     found = compare.drift(YEARS, values)
     ranges = ((-0.05, 0.05), (-0.01, 0.01), (-0.05, found.value))
-    told = [compare.against_range(found.lower, found.upper, *limits) for limits in ranges]
+    told = [compare.compare_with_range(found.lower, found.upper, *limits) for limits in ranges]
     assert told == [Outcome.AGREES, Outcome.DISAGREES, Outcome.UNDECIDED]
     assert compare.drift(YEARS, values + 0.3).value == pytest.approx(found.value), "an error of all days cancels"
     for years in ([0.0, 1.0], [1.0, 1.0, 1.0]):

@@ -29,15 +29,15 @@ MODULES = (
 # Functions of these files that are no formula of the source: readers, arrays of many truths, the packed form of a
 # matrix, the reading of curves, classifiers and laws with evidence of their own below tests/.
 BESIDE = {
-    "add_products", "at_rows", "class_features", "curve_area", "cut", "detect", "detection_at", "detection_bands",
+    "add_products", "cached_matrix", "class_features", "curve_area", "detect", "detection_at", "detection_bands",
     "evaluations", "feature_bands", "fill_distribution", "fill_squares", "fill_with_mean", "fills_of_objects",
-    "fills_of_population", "filter_base", "fully_constrained", "gaussian_classes", "latest", "library_names",
-    "light_of", "load_sensor", "log10_false_alarm_at", "mean_detection", "measured_error", "new_sensor_file",
-    "of_truth", "on_bands", "own_mean_sampling", "packed", "pixels_of_object", "population_fill", "predicted_areas",
-    "predicted_classification", "predicted_error", "probit", "read_statistics_library", "retrieved", "sensor_named",
-    "score_distributions", "spread", "stacked", "stacked_fills", "statistics_of_samples", "target_light",
-    "unmixing_method", "unpacked", "usable_bands", "whitened", "whole_object_fills", "wide",
-    "with_distances", "write_statistics_library",
+    "fills_of_population", "filter_base", "fully_constrained", "gaussian_classes", "library_names", "load_sensor",
+    "log10_false_alarm_at", "mean_detection", "measured_error", "new_sensor_file", "object_pixel_count", "on_bands",
+    "own_mean_sampling", "pack", "population_fill", "predicted_areas", "predicted_classification",
+    "predicted_error", "probit", "read_statistics_library", "retrieve", "scene_light", "score_distributions",
+    "select_rows", "sensor_named", "spread", "stacked_fills", "stacked_noise", "statistics_of_samples", "submatrix",
+    "target_light", "tile", "truth_row", "unmixing_method", "unpack", "usable_bands", "whiten",
+    "whole_object_fills", "with_distances", "write_statistics_library",
 }  # fmt: skip
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "hyperval"

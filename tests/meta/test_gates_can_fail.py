@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hyperval.compare import Gate, compare_products, judged
+from hyperval.compare import Gate, compare_products, judge_rows
 from hyperval.products import ObservedProducts, PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role
 from hyperval.spectra import SpectralAxis
@@ -37,7 +37,7 @@ def lost(cause, **more):
 
 
 def exit_code(rows, gates):
-    return ResultTable(judged(rows, gates)).exit_code()
+    return ResultTable(judge_rows(rows, gates)).exit_code()
 
 
 BOTH = gate(metric="bias_ratio", at_most=None, within=(-0.05, 0.05))
@@ -83,7 +83,7 @@ JUDGED = [
 
 @pytest.mark.parametrize(("broken", "by", "expected", "code", "why"), JUDGED)
 def test_only_an_interval_inside_the_range_agrees(broken, by, expected, code, why):
-    (found,) = judged([broken], [by])
+    (found,) = judge_rows([broken], [by])
     assert (found.outcome, found.role) == (expected, Role.GATE if by.gate else Role.INFORM)
     assert found.value == broken.value or math.isnan(broken.value)
     limits = [None if math.isnan(limit) else limit for limit in (found.limit_low, found.limit_high)]
@@ -95,17 +95,17 @@ def test_only_an_interval_inside_the_range_agrees(broken, by, expected, code, wh
 
 
 def test_why_a_row_does_not_agree_has_its_cause():
-    found = judged([p_value(0.9999, 0.02), share(1.0, "pd_inside_interval")], [TEST, INSIDE])
+    found = judge_rows([p_value(0.9999, 0.02), share(1.0, "pd_inside_interval")], [TEST, INSIDE])
     assert [r.cause for r in found] == [Cause.TOO_WIDE, Cause.COVERAGE]
 
 
 def test_the_levels_of_a_campaign_are_shared_out():
     """Five tests at 0.05: only what is below a fifth of it, then a quarter, disagrees."""
     rows = [p_value(v, 0.01, f"s{i}") for i, v in enumerate((0.002, 0.012, 0.4, 0.5, 0.6))]
-    found = judged(rows, [TEST])
+    found = judge_rows(rows, [TEST])
     assert [r.outcome for r in found] == [D, U, A, A, A]  # two-sided: 0.004 and 0.024 against 0.01 and 0.0125
     assert found[1].cause is Cause.MULTIPLICITY
-    assert judged([rows[1]], [TEST])[0].outcome is D
+    assert judge_rows([rows[1]], [TEST])[0].outcome is D
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_the_levels_of_a_campaign_are_shared_out():
     ],
 )
 def test_a_gate_that_meets_no_row_turns_red(change, absent):
-    found = judged([row(0.03)], [gate(**change)])
+    found = judge_rows([row(0.03)], [gate(**change)])
     assert [(r.subject, r.cause) for r in found if r.outcome is E] == [(absent, Cause.ABSENT)]
     assert "planned but absent" in next(r.reason for r in found if r.outcome is E)
     assert change.get("gate") is False or ResultTable(found).exit_code() == 1
@@ -129,16 +129,16 @@ def test_a_gate_that_meets_no_row_turns_red(change, absent):
 
 def test_rows_and_gates_count_each_by_itself():
     other = row(9.0, subject="asphalt")
-    found = judged([other, row(0.03)], [gate(), gate(at_most=0.02)])
+    found = judge_rows([other, row(0.03)], [gate(), gate(at_most=0.02)])
     assert found[0] == other
     assert [exit_code(rows, []) for rows in ([], [other])] == [5, 5]  # nothing decided is no agreement
     assert [(r.outcome, r.limit_high) for r in found[1:]] == [(A, 0.05), (D, 0.02)]
-    mixed = ResultTable(judged([row(0.03), row(0.048, subject="lawn")], [gate(subjects=["*"])]))
+    mixed = ResultTable(judge_rows([row(0.03), row(0.048, subject="lawn")], [gate(subjects=["*"])]))
     assert (mixed.exit_code(), mixed.exit_code(strict=True)) == (0, 1)  # strict counts what could not be told
 
 
 def test_a_metric_with_a_usual_range_is_judged_unasked_and_informs():
-    ratio, untold = judged([row(20.0, 5.0, "pfa_ratio@1e-3", product="scores"), row(0.5, metric="z")], [])
+    ratio, untold = judge_rows([row(20.0, 5.0, "pfa_ratio@1e-3", product="scores"), row(0.5, metric="z")], [])
     assert (ratio.outcome, ratio.role, ratio.limit_low, ratio.limit_high) == (D, Role.INFORM, 0.5, 2.0)
     assert untold.outcome is N
 
@@ -146,10 +146,10 @@ def test_a_metric_with_a_usual_range_is_judged_unasked_and_informs():
 def test_what_a_comparison_could_have_seen_stands_beside_it():
     """0.05 + 0.005 (1 + 0.842/1.960): of such errors four in five leave the interval beyond the limit."""
     within = gate(at_most=None, within=(-0.05, 0.05))
-    (found,) = judged([row(0.03)], [within])
+    (found,) = judge_rows([row(0.03)], [within])
     assert found.detectable == pytest.approx(0.0571470, rel=1e-6)
     values = found.detectable + 0.005 / 1.959964 * np.random.default_rng(5).standard_normal(2000)
-    told = np.mean([judged([row(v)], [within])[0].outcome is D for v in values])
+    told = np.mean([judge_rows([row(v)], [within])[0].outcome is D for v in values])
     assert abs(told - 0.8) < 0.036  # four standard errors: one failure in 16000
 
 
@@ -186,7 +186,7 @@ def test_pooled_gate(values, code):
 
 def test_a_skipped_comparison_counts_as_open_in_a_pool():
     skipped = [lost(Cause.NO_PREDICTION, metric="comparison", subject=s, product="roc") for s in "ab"]
-    *members, last = judged([*verdicts([1.0] * 8), *skipped], [pooled()])
+    *members, last = judge_rows([*verdicts([1.0] * 8), *skipped], [pooled()])
     assert (last.outcome, last.value, last.n, last.upper) == (U, 0.8, 10, 1.0)
     assert "2 without an outcome of their own" in last.reason
     assert last.metric == "pd_inside_interval_fraction"
@@ -266,7 +266,7 @@ def test_each_falsified_product_turns_the_verdict(falsified, code):
 
 @pytest.mark.parametrize("falsified", [{"pd": math.nan}, {"width": math.nan}])
 def test_a_curve_that_says_nothing_is_no_agreement(falsified):
-    found = judged(compare_products(*sides(**falsified)), GATES)
+    found = judge_rows(compare_products(*sides(**falsified)), GATES)
     curves = [r.outcome for r in found if r.gates and r.product == "roc"]
     assert curves
     assert set(curves) <= {S, U, E}

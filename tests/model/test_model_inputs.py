@@ -16,7 +16,7 @@ EVERYTHING = ATMOSPHERE + Path(__file__).with_name("uncertainty.yaml").read_text
 
 
 def inputs(s: Scenario) -> dict[str, model.UncertainInput]:
-    found = model.inputs_of(model.read_world(s, ORIGINS))
+    found = model.uncertain_inputs(model.read_world(s, ORIGINS))
     assert len({i.name for i in found}) == len(found)
     return {i.name: i for i in found}
 
@@ -30,7 +30,7 @@ def test_every_input_of_the_scene_is_there_moves_something_and_can_be_drawn_with
     plain = s.model_copy(update={"uncertainty": Uncertainty()})
     blind = {"solar azimuth", "view zenith angle", "sensor altitude", "ground height"}  # to the stand-in engine
     for name, item in found.items():
-        off = run(plain, truth=item.direction(0, 1.0))
+        off = run(plain, truth=item.perturbation_along(0, 1.0))
         moved = [
             not np.allclose(off.radiance["tenth"].mean, base.radiance["tenth"].mean, rtol=1e-9),
             not np.allclose(off.snr["panel"].mean, base.snr["panel"].mean, rtol=1e-9),
@@ -38,7 +38,7 @@ def test_every_input_of_the_scene_is_there_moves_something_and_can_be_drawn_with
         ]
         assert any(moved) != (name in blind), name
         assert item.correlation
-    draws = [run(plain, truth=truth) for truth in model.drawn_truths(list(found.values()), 3, 1)]
+    draws = [run(plain, truth=truth) for truth in model.draw_truths(list(found.values()), 3, 1)]
     assert len({float(d.radiance["grass"].mean[0]) for d in draws}) == 3
 
 
@@ -49,7 +49,7 @@ def test_directions_give_back_the_covariance_of_each_form():
         "random": (SpectralForm(correlation="random"), np.diag(sd**2)),
         "length": (SpectralForm(correlation_nm=200), np.outer(sd, sd) * model.band_correlation(AXIS, 200.0)),
     }
-    assert model.form_in_words(cases["length"][0]) == "correlation length 200 nm"
+    assert model.correlation_words(cases["length"][0]) == "correlation length 200 nm"
     for name, (form, expected) in cases.items():
         rows = model.error_rows(sd, form, AXIS)
         np.testing.assert_allclose(rows.T @ rows, expected, atol=1e-5 * expected.max(), err_msg=name)
@@ -117,7 +117,7 @@ def test_changes_at_one_path_add_up_and_paths_to_one_number_compose():
     one, other = (
         model.number_input(world, n, "surface", grass, 0.0, rows=k * rows) for n, k in (("a", 1.0), ("b", 2.0))
     )
-    both = model.moved_together([(one, one.direction(0, 1.0)), (other, other.direction(0, -1.0))])
+    both = model.add_perturbations([(one, one.perturbation_along(0, 1.0)), (other, other.perturbation_along(0, -1.0))])
     np.testing.assert_allclose(both[grass], mean("grass") - rows[0])
     twice = run(scenario(), truth={"sensor.electrons": 1.5, "sensor_changes.signal_factor": 2.0})
     once = run(scenario(), truth={"sensor.electrons": 3.0})
@@ -141,7 +141,7 @@ def test_a_library_at_the_labelled_bands_moves_with_a_shift_and_is_not_smoothed(
 def test_numbers_stop_at_the_ends_of_their_range_and_reflectance_at_nothing():
     def far_below(path: str):
         item = model.number_input(WORLD, "x", "scene", path, 1.0)
-        return item.direction(0, -1e6)[path]
+        return item.perturbation_along(0, -1e6)[path]
 
     assert far_below("atmosphere.aot550") == 0.0
     assert far_below("sensor.noise") == pytest.approx(1e-3)
@@ -169,6 +169,6 @@ def test_what_is_stated_is_not_assumed_again_and_every_class_mean_is_a_candidate
     text = ATMOSPHERE + "uncertainty: {noise: {relative: 0.1}, fractions: [{subject: grass, absolute: 0.1}]}\n"
     world = model.read_world(scenario(text), ORIGINS)
     assumed = {c.path for c in every_input([world], []) if not c.budgeted}
-    assert not assumed & {i.path for i in model.inputs_of(world)}
+    assert not assumed & {i.path for i in model.uncertain_inputs(world)}
     assert {"sensor.gain", "surfaces.[grass].mean", "surfaces.[panel].mean"} <= assumed
     assert "surfaces.[plank].mean" not in assumed

@@ -63,9 +63,9 @@ def test_the_budget_that_predict_adds_up_is_that_of_a_prediction_for_every_direc
     )
     stated, plain = run(s), s.model_copy(update={"uncertainty": Uncertainty()})
     total = {(p, n): np.zeros(len(AXIS)) for p in ("radiance", "snr", "reflectance") for n in getattr(stated, p)}
-    for item in model.inputs_of(model.read_world(s, ORIGINS)):
+    for item in model.uncertain_inputs(model.read_world(s, ORIGINS)):
         for k in range(item.size):
-            up, down = (run(plain, truth=item.direction(k, z)) for z in (1.0, -1.0))
+            up, down = (run(plain, truth=item.perturbation_along(k, z)) for z in (1.0, -1.0))
             for p, n in total:
                 total[p, n] += (0.5 * (getattr(up, p)[n].mean - getattr(down, p)[n].mean)) ** 2
     for (p, n), variance in total.items():
@@ -92,13 +92,13 @@ def test_the_emulator_is_the_engine_at_its_nodes_and_near_it_between():
     world = model.read_world(
         scenario(ATMOSPHERE + "uncertainty: {aot550: 0.05, water_vapour_g_cm2: 0.5, solar_zenith_deg: 2}\n"), ORIGINS
     )
-    inputs = model.inputs_of(world)
+    inputs = model.uncertain_inputs(world)
     there, (runs, greatest, median) = model.interpolated_world(world, inputs)
     assert runs == 8  # stated, two for each of three fields, one check
     assert 0.0 < median <= greatest < 0.01
     for item in inputs:
         for z in (-(3.0**0.5), 0.0, 3.0**0.5, 1.0):
-            found, exact = (w.stated.atmosphere(item.direction(0, z), 1) for w in (there, world))
+            found, exact = (w.stated.atmosphere(item.perturbation_along(0, z), 1) for w in (there, world))
             np.testing.assert_allclose(found.direct, exact.direct, rtol=2e-3 if z == 1.0 else 1e-9)
             if z != 1.0:
                 np.testing.assert_allclose(found.path_radiance, exact.path_radiance, rtol=1e-9)

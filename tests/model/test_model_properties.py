@@ -18,7 +18,7 @@ from hyperval import api
 from hyperval.atmosphere import AtmosphericTable, write_table
 from hyperval.data import Components
 from hyperval.errors import UsageError
-from hyperval.model import PATHS, Origins, every_path, find, predict, predictions, read_world, reads_again, value_at
+from hyperval.model import PATHS, Origins, all_paths, find_path, is_reread, predict, predictions, read_world, value_at
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.settings import setting, with_settings
 from hyperval.spectra import SpectralAxis
@@ -179,7 +179,7 @@ def studied(folder: Path, variant: str, scenario: Scenario, values: Mapping[str,
     outputs = [{**o, "name": f"o{k}"} for k, o in enumerate(outputs)]
     # What is a column of numbers stands there beside the stated value, which must not disturb it.
     stated = read_world(scenario).stated
-    listed = {p: [setting(scenario, p)] * (not reads_again(stated, p)) + [v] for p, v in values.items()}
+    listed = {p: [setting(scenario, p)] * (not is_reread(stated, p)) + [v] for p, v in values.items()}
     study = {
         "schema": 1, "name": "paths", "scenario": file_of(variant), "design": {"kind": "one-at-a-time"},
         "inputs": [{"name": f"i{k}", "path": p, "values": v} for k, (p, v) in enumerate(listed.items())],
@@ -266,11 +266,11 @@ def same_line(path: str, value: float) -> dict[str, float] | None:
 
 def paths_of(variant: str, scenario: Scenario, *, of_file: bool) -> list[str]:
     """The paths to move; a detector of many draws, which takes a hundred times longer, has one of each sort."""
-    paths = [p for p in every_path(read_world(scenario)) if in_file(scenario, p) is of_file]
+    paths = [p for p in all_paths(read_world(scenario)) if in_file(scenario, p) is of_file]
     if variant != "ACE":
         return paths
     stated = read_world(scenario).stated
-    sorts = {(find(stated, p).field if of_file else re.sub(r"\[.*\]", "*", p)): p for p in reversed(paths)}
+    sorts = {(find_path(stated, p).field if of_file else re.sub(r"\[.*\]", "*", p)): p for p in reversed(paths)}
     anew = ["scene.classes.[soil].spectrum.constant", "processing.seed", "processing.samples"]
     return [*sorts.values(), *(anew if of_file else [])]
 
@@ -322,7 +322,7 @@ def test_a_value_in_the_file_a_study_and_a_moved_input_give_the_same(folder, var
     for path, found in zip(plain, moved, strict=True):
         if difference(numbers(found), numbers(truths[path])) > EQUAL:
             wrong.append(f"moved: {path} at {values[path]}")
-    moving = {p: v for p, v in values.items() if whole or not reads_again(world.stated, p)}
+    moving = {p: v for p, v in values.items() if whole or not is_reread(world.stated, p)}
     # Each state of the light is a run of the engine, and is made for each scenario that is read anew.
     of_light = {p: v for p, v in moving.items() if whole and p.startswith("atmosphere.")}
     rest = {p: v for p, v in moving.items() if p not in of_light}
@@ -371,5 +371,5 @@ def test_an_input_moved_among_others_alone_and_in_the_file_gives_the_same(folder
 def test_every_field_of_the_world_is_moved(folder):
     """A field that no variant moves would go without a comparison."""
     worlds = [read_world(variant_of(folder, v)) for v in VARIANTS]
-    moved = {find(world.stated, p).field for world in worlds for p in every_path(world)}
+    moved = {find_path(world.stated, p).field for world in worlds for p in all_paths(world)}
     assert moved == {path.field for path in PATHS.values()}

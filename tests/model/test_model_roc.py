@@ -130,7 +130,7 @@ def straight(d: float = 3.0) -> RocCurve:
 
 def limits(base: RocCurve, changes) -> tuple[np.ndarray, np.ndarray]:
     up, down = (np.array([pair[i] for pair in changes]) for i in (0, 1))
-    found = model.with_bands({ROC: base}, {ROC: (up, down)})[ROC]
+    found = model.with_pd_limits({ROC: base}, {ROC: (up, down)})[ROC]
     return found.pd_lower, found.pd_upper
 
 

@@ -145,14 +145,14 @@ def test_panels_that_contradict_each_other_widen_the_line_and_are_warned_of(make
     world.library("more.csv", grey=0.30, light=0.62)
     apart = world.observe()
     notes = apart.observation.notes
-    assert np.abs(apart.place.line.leave_one_out[3] + 0.17) == pytest.approx(np.zeros(BANDS), abs=0.01)
+    assert np.abs(apart.place.line.leave_one_out_errors[3] + 0.17) == pytest.approx(np.zeros(BANDS), abs=0.01)
     (told,) = (n for n in notes if "leave-one-panel-out" in n)
     assert "light -0.17 (median over bands, at most -0.17)" in told
     chi2 = np.median(apart.place.line.reduced_chi2)
     assert chi2 > 20
     assert f"empirical line: reduced chi-square of its panels {chi2:.3g} (median over bands)" in notes
     warned = [n for n in notes if n.startswith("warning:")]
-    factor = np.sqrt(apart.place.line.contradiction)
+    factor = np.sqrt(apart.place.line.birge_factor)
     assert any(f"within their stated errors: they are {factor:.3g} times as great" in n for n in warned)
     assert any("line give light a reflectance that is off by 0.17" in n for n in warned)
     # The line itself hardly turns, so that its width is what differs.
@@ -392,7 +392,7 @@ def test_what_a_bad_band_holds_decides_nothing(make_radiance, monkeypatch, lost)
         world.write(values, axis=axis)
         seen = world.observe()
         spectra, line = seen.observation.radiance | seen.observation.reflectance, seen.place.line
-        sides.append([line.contradiction, seen.place.mistaken({"offset": 0.1}).cube.offset[0]])
+        sides.append([line.birge_factor, seen.place.with_injected_error({"offset": 0.1}).cube.offset[0]])
         sides[-1] += [x for s in spectra.values() for x in (s.n, s.mean[good], s.error_covariance[good][:, good])]
         sides[-1] += [x for s in seen.observation.scores.values() for x in (s.n, s.mean, s.sd)]
     for clean, found in zip(*sides, strict=True):

@@ -201,16 +201,16 @@ def test_what_a_scenario_asks_for_is_fitted_once_or_refused_by_name(clusters):
         laws.statistics(mixed(2, 3))
     with pytest.raises(UsageError, match=r"region 'corner'(?s:.*)8 components of 9 pixels"):
         laws.statistics(mixed(8, region="corner"))
-    assert [len(without) for _, without in laws.left_out(mixed(1, region="shade"))] == [16]
+    assert [len(without) for _, without in laws.jackknife_replicates(mixed(1, region="shade"))] == [16]
 
 
 def test_statistics_without_each_part_of_a_region(clusters):
     """Sixteen parts of 225 pixels; what is left out and what is left make the whole; small regions have none."""
     seen = clusters.observe()
     laws, stated = RegionLaws(seen), seen.statistics["all"]
-    ((name, without),) = laws.left_out(mixed(2))
+    ((name, without),) = laws.jackknife_replicates(mixed(2))
     assert (name, len(without)) == ("all", 16)
-    assert without is next(iter(laws.left_out(mixed(2))))[1]
+    assert without is next(iter(laws.jackknife_replicates(mixed(2))))[1]
     assert np.mean([s.mean for s in without], axis=0) == pytest.approx(stated.mean, rel=1e-9)
     assert max(np.abs(s.mean - stated.mean).max() for s in without) > 1e-4
     for s in without:

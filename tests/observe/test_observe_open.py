@@ -51,7 +51,7 @@ def test_a_mistake_moves_values_bands_targets_and_regions(world):
     seen = world.observe().place
     away = {"lines": 1, "samples": -2}
     mistakes = ({"gain": 0.1, "offset": 0.05}, away, away | {"regions": 1}, away | {"regions": 1, "still": ["b"]})
-    wrong, beside, elsewhere, alone, other = map(seen.mistaken, (*mistakes, {"exchanged": ["corner", "b"]}))
+    wrong, beside, elsewhere, alone, other = map(seen.with_injected_error, (*mistakes, {"exchanged": ["corner", "b"]}))
     level = 0.05 * seen.statistics["scene"].mean.mean()
     assert wrong.cube.read(0, 3).values == pytest.approx(1.1 * seen.cube.read(0, 3).values + level)
     stretched = open_place(CollectionSection.model_validate(world.collection), world.resolve, {"nm": 2.0, "scale": 0.1})

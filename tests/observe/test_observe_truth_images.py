@@ -12,8 +12,8 @@ from hyperval.campaign import completed_scenario
 from hyperval.collection import Detection
 from hyperval.errors import UsageError
 from hyperval.imagery import open_raster
-from hyperval.model import fill_distribution, pixel_fills, pixels_of_object
-from hyperval.observe import FinerGrid, Place, fills_of, object_of_fills, registration_shifts, window_fills
+from hyperval.model import fill_distribution, object_pixel_count, pixel_fills
+from hyperval.observe import FinerGrid, Place, registration_shifts, subject_fills, target_from_fills, window_fills
 from hyperval.scenario import Geometry, Scenario, load_scenario
 from hyperval.spectra import SIGMA_PER_FWHM
 
@@ -39,11 +39,11 @@ def test_pixels_of_a_target_are_those_whose_mean_fill_reaches_the_least():
     least = 0.02
     below = np.nextafter(least, 0.0)
     fills = np.array([[[0.0, 0.04, below], [0.0, least, 1.0]], [[0.0, 0.0, below], [0.0, least, 0.0]]])
-    target = object_of_fills("p", "plank", fills, (4, 7), (9, 11), 3.0, "there")
+    target = target_from_fills("p", "plank", fills, (4, 7), (9, 11), 3.0, "there")
     np.testing.assert_array_equal(target.part, [[True, False], [True, True]])
     assert (target.corner, target.shape, target.area_m2) == ((4, 8), (9, 11), 3.0)
     np.testing.assert_array_equal(target.fills, fills[:, :, 1:])
-    assert fills_of({"planks": [target]}) == {"planks": [[1.0, 0.04, least], [least, 0.0, 0.0]]}
+    assert subject_fills({"planks": [target]}) == {"planks": [[1.0, 0.04, least], [least, 0.0, 0.0]]}
 
 
 def test_an_error_of_registration_widens_the_response_on_average():
@@ -97,7 +97,7 @@ def test_a_scenario_takes_the_fills_of_the_truth(finer):
     taken = completed_scenario(scenario({"truth": True}), place, detection)
     plank, fill = place.targets[0], taken.scene.targets[0].fill
     assert fill_distribution(fill).mean == pytest.approx(plank.fills[:, plank.part].mean(), rel=1e-9)
-    assert pixels_of_object(fill) == plank.part.sum()
+    assert object_pixel_count(fill) == plank.part.sum()
     untouched = scenario({"fixed": 0.4})
     assert completed_scenario(untouched, place, detection) is untouched
     with pytest.raises(UsageError, match=r"does not hold the fill fractions(?s:.*)state its fill"):

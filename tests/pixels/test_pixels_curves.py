@@ -37,7 +37,7 @@ def test_preset_false_alarm_rate_by_brute_force(target, background, pfa):
 
 def test_a_target_that_ties_with_the_highest_of_the_background_has_no_area_above_one():
     background = np.concatenate([[9.0], np.full(2, 5.0), np.arange(9997) / 10000])
-    curve = pixels.with_summary(pixels.empirical_roc([5.0], background, [0.1, 1.0]), [5.0], background)
+    curve = pixels.with_areas_and_alarms(pixels.empirical_roc([5.0], background, [0.1, 1.0]), [5.0], background)
     area = curve.areas["log_auc@1e-3..1e-1"]
     assert (area.value, area.upper) == (1.0, 1.0)
 
@@ -83,7 +83,7 @@ def by_quadrature(t, b, area):
 def test_areas_equal_the_exact_curve_with_ties(area, decimals):
     rng = np.random.default_rng(decimals)
     t, b = np.round(rng.normal(1.0, 1.0, 23), decimals), np.round(rng.normal(size=57), decimals)
-    assert pixels.roc_area(pixels.counts_of(t, b), area) == pytest.approx(by_quadrature(t, b, area), abs=1e-10)
+    assert pixels.roc_area(pixels.rank_counts(t, b), area) == pytest.approx(by_quadrature(t, b, area), abs=1e-10)
 
 
 @pytest.mark.simulation
@@ -92,15 +92,15 @@ def test_variance_of_areas_is_that_of_plain_resampling():
     rng = np.random.default_rng(1)
     t, b = np.round(rng.normal(1.5, 1.0, 30), 1), np.round(rng.normal(size=400), 1)
     areas = [WHOLE, PART, LOG]
-    resampled = [pixels.counts_of(rng.choice(t, 30), rng.choice(b, 400)) for _ in range(4000)]
+    resampled = [pixels.rank_counts(rng.choice(t, 30), rng.choice(b, 400)) for _ in range(4000)]
     plain = np.array([[pixels.roc_area(c, a) for a in areas] for c in resampled])
-    parts = np.array([pixels.area_variance(pixels.counts_of(t, b), a) for a in areas])
+    parts = np.array([pixels.area_variance(pixels.rank_counts(t, b), a) for a in areas])
     assert plain.var(axis=0) == pytest.approx(parts @ [29 / 30, 1.0], rel=0.19)
 
 
 def test_one_score_on_a_side_has_the_bound_of_birnbaum_and_klose():
     # Targets' part by the bound; background's by the definition: V = 1 three times and 0 once.
-    of_targets, of_background = pixels.area_variance(pixels.counts_of([2.5], [0.0, 1.0, 2.0, 3.0]))
+    of_targets, of_background = pixels.area_variance(pixels.rank_counts([2.5], [0.0, 1.0, 2.0, 3.0]))
     assert (of_targets, of_background) == pytest.approx((0.75 * 0.25, 0.25 / 4))
 
 
@@ -114,7 +114,7 @@ def test_average_of_predicted_curves_is_by_weight():
 def test_pool_of_unequal_groups_by_hand():
     rng = np.random.default_rng(3)
     groups = [(rng.normal(1.0, 1.0, 40), rng.normal(size=900)), (rng.normal(0.5, 1.0, 10), rng.normal(size=400))]
-    curves = [pixels.with_summary(pixels.empirical_roc(t, b, [0.1, 1.0]), t, b) for t, b in groups]
+    curves = [pixels.with_areas_and_alarms(pixels.empirical_roc(t, b, [0.1, 1.0]), t, b) for t, b in groups]
     pool = pixels.pooled_roc(curves)
     assert (pool.n_target, pool.n_background) == (50, 400)  # what the smaller background cannot say, the pool cannot
     assert pool.pd == pytest.approx(0.8 * curves[0].pd + 0.2 * curves[1].pd)
@@ -145,15 +145,15 @@ def test_far_limit_of_an_area_of_few_targets_holds_without_assumptions():
     none, one = stats.beta.ppf(0.85, [1, 2], [8, 7])
     least, value = 1.0 - none - 0.1 * (one - none), 1.0 - 0.1 / 8
     for background in (0.0, 1e-4):
-        low = pixels.interval_of_mean(np.array([0.9, *7 * [1.0]]), 1e-6, background, 1000)[0]
+        low = pixels.area_interval(np.array([0.9, *7 * [1.0]]), 1e-6, background, 1000)[0]
         assert low == pytest.approx(value - np.hypot(value - least, 1.959964 * np.sqrt(background)), rel=1e-6)
 
 
 def test_an_area_whose_background_is_few_blocks_is_known_by_their_part_of_the_variance():
     rng = np.random.default_rng(4)
     scores = rng.standard_normal((4, 4)).repeat(20, 0).repeat(20, 1)
-    blocks = pixels.AlarmBlocks.of_map(scores, np.ones(scores.shape, bool))
-    counts = pixels.counts_of(rng.normal(0, 1, 60), scores)
+    blocks = pixels.AlarmBlocks.from_map(scores, np.ones(scores.shape, bool))
+    counts = pixels.rank_counts(rng.normal(0, 1, 60), scores)
     found = pixels.area_estimates(counts, {"a": WHOLE}, "pixel", blocks)["a"]
     background, dof = pixels.clustered_variance(counts, WHOLE, blocks)
     whole = background + pixels.area_variance(counts)[0]
@@ -175,11 +175,11 @@ def test_areas_are_those_of_scikit_learn(decimals):
     rng = np.random.default_rng(decimals)
     for m, n in ((1, 1), (3, 700), (77, 90)):
         t, b = np.round(rng.normal(1, 1, m), decimals), np.round(rng.normal(size=n), decimals)
-        truth, scores = np.concatenate([np.ones(m), np.zeros(n)]), np.concatenate([t, b])
-        assert pixels.roc_area(pixels.counts_of(t, b)) == pytest.approx(metrics.roc_auc_score(truth, scores), rel=1e-13)
+        y, scores = np.concatenate([np.ones(m), np.zeros(n)]), np.concatenate([t, b])
+        assert pixels.roc_area(pixels.rank_counts(t, b)) == pytest.approx(metrics.roc_auc_score(y, scores), rel=1e-13)
         # Theirs of a part is scaled to 1/2 for chance (McClish 1989): back to the mean P_D over the range.
-        part = metrics.roc_auc_score(truth, scores, max_fpr=0.1)
-        area, ours = (2 * part - 1) * (1 - 0.05) + 0.05, pixels.roc_area(pixels.counts_of(t, b), RocArea(0.0, 0.1))
+        part = metrics.roc_auc_score(y, scores, max_fpr=0.1)
+        area, ours = (2 * part - 1) * (1 - 0.05) + 0.05, pixels.roc_area(pixels.rank_counts(t, b), RocArea(0.0, 0.1))
         assert 0.1 * ours == pytest.approx(0.1 * area, rel=1e-12, abs=1e-15)
 
 
@@ -241,7 +241,7 @@ def test_alarms_at_a_detection_hold_the_truth_where_they_come_in_clusters():
     for _ in range(150):
         common = rng.standard_normal((15, 15)).repeat(7, 0).repeat(7, 1)
         scores = np.sqrt(0.9) * common + np.sqrt(0.1) * rng.standard_normal(common.shape)
-        blocks, t = pixels.AlarmBlocks.of_map(scores, np.ones(scores.shape, bool)), rng.normal(2.0, 1.0, 1500)
+        blocks, t = pixels.AlarmBlocks.from_map(scores, np.ones(scores.shape, bool)), rng.normal(2.0, 1.0, 1500)
         for i, background in enumerate((blocks, scores)):
             (found,) = pixels.alarms_at_detection(t, background, [0.5])
             held[i] += found.pfa_lower <= truth <= found.pfa_upper
@@ -256,8 +256,8 @@ def test_a_class_that_lies_in_one_block_counts_with_the_others():
     scores = np.random.default_rng(11).standard_normal((80, 80))
     roof = np.zeros((80, 80), int)
     roof[20:27, 20:27] = 1
-    alone = pixels.AlarmBlocks.of_map(scores + 9.0 * roof, np.ones(roof.shape, bool), classes=roof)
-    blind = pixels.AlarmBlocks.of_map(scores + 9.0 * roof, np.ones(roof.shape, bool))
+    alone = pixels.AlarmBlocks.from_map(scores + 9.0 * roof, np.ones(roof.shape, bool), classes=roof)
+    blind = pixels.AlarmBlocks.from_map(scores + 9.0 * roof, np.ones(roof.shape, bool))
     assert np.unique(alone.stratum).size == 1
     for limits in zip(alone.pfa_limits(np.array([6.0])), blind.pfa_limits(np.array([6.0])), strict=True):
         assert limits[0] == pytest.approx(limits[1], rel=0.05)  # the roof has cells of its own
@@ -268,17 +268,17 @@ def test_halves_of_an_image_differ_by_the_rates_of_their_own_pixels():
     # either half. Three ways to halve four blocks: 20 : 18 2/3, 20 : 18 and 22 : 16, each in a third of the draws.
     block = np.repeat(np.arange(8), [1, 1, 3, 3, 8, 8, 8, 8])
     scores = np.concatenate([[1.0, 0, 0, 0, 0, 1, 1, 0], np.tile([1.0, 0.0], 16)])
-    blocks = pixels.AlarmBlocks.of_places(scores, 20 * block, 0 * block, 10, block > 3)
+    blocks = pixels.AlarmBlocks.from_pixels(scores, 20 * block, 0 * block, 10, block > 3)
     assert blocks.half_image_factor(np.array([0.5])) == pytest.approx([20.0 / 18.0])
-    single = pixels.AlarmBlocks.of_places(scores, 0 * block, 0 * block, 10)
+    single = pixels.AlarmBlocks.from_pixels(scores, 0 * block, 0 * block, 10)
     assert single.half_image_factor(np.array([0.5]))[0] == np.inf
 
 
 def test_ranks_of_a_threshold_are_those_whose_interval_holds_the_probability():
     # 36 scores are few enough for the effect of each to be looked up: the limits themselves, one by one.
     scores = np.random.default_rng(12).normal(size=(3, 3)).repeat(2, 0).repeat(2, 1) + np.arange(36).reshape(6, 6) / 99
-    blocks = pixels.AlarmBlocks.of_places(scores.ravel(), *np.indices((6, 6)).reshape(2, -1), 2)
-    _, low, high = blocks.pfa_limits(np.append(blocks.ascending[::-1], -np.inf))
+    blocks = pixels.AlarmBlocks.from_pixels(scores.ravel(), *np.indices((6, 6)).reshape(2, -1), 2)
+    _, low, high = blocks.pfa_limits(np.append(blocks.sorted_scores[::-1], -np.inf))
     pfa = np.array([0.1, 0.3, 0.85, 0.95])
     holds = (low <= pfa[:, None]) & (pfa[:, None] <= high)
     r, s = blocks.rank_limits(pfa)
@@ -303,7 +303,7 @@ def test_limits_of_detection_hold_the_truth_before_clusters_as_large_as_blocks()
         rng = np.random.default_rng([81, seed])
         common = rng.standard_normal((15, 15)).repeat(20, 0).repeat(20, 1)
         scores = np.sqrt(0.9) * common + np.sqrt(0.1) * rng.standard_normal(common.shape)
-        blocks = pixels.AlarmBlocks.of_map(scores, np.ones(scores.shape, bool))
+        blocks = pixels.AlarmBlocks.from_map(scores, np.ones(scores.shape, bool))
         for i, count in enumerate((25, 100, 300)):
             rate = pixels.empirical_roc(rng.normal(norm.isf(1e-3), 1.0, count), blocks, 1e-3)
             held[i] += rate.pd_lower[0] <= 0.5 <= rate.pd_upper[0]

@@ -73,10 +73,10 @@ def test_exceedance_is_that_of_pixels():
     far = np.sum(z**2, axis=1)
     at = np.array([2.0, 10.0, 40.0])
     share = (far[:, None] > at).mean(axis=0)
-    expected = pixels.exceedance_of_distance(at, 4, 6.0)
+    expected = pixels.distance_exceedance(at, 4, 6.0)
     # Binomial: four standard deviations of each share.
     assert np.all(np.abs(share - expected) < 4 * np.sqrt(expected / far.size))
-    assert pixels.exceedance_of_distance(at, 4, np.inf) == pytest.approx(stats.chi2.sf(at, 4))
+    assert pixels.distance_exceedance(at, 4, np.inf) == pytest.approx(stats.chi2.sf(at, 4))
 
 
 @pytest.mark.simulation
@@ -128,7 +128,7 @@ def test_three_clusters_as_another_package_finds_them():
     assert ours.weights[mine] == pytest.approx(peer.weights_[theirs], abs=1e-3)
     assert ours.means[mine] == pytest.approx(peer.means_[theirs], abs=1e-3)
     assert ours.scales[mine] == pytest.approx(peer.covariances_[theirs], abs=1e-3)
-    assert ours.shares(x)[0].T[:, mine] == pytest.approx(peer.predict_proba(x)[:, theirs], abs=1e-2)
+    assert ours.responsibilities(x)[0].T[:, mine] == pytest.approx(peer.predict_proba(x)[:, theirs], abs=1e-2)
 
 
 def test_density_of_a_t_law_is_the_published_one():
@@ -213,9 +213,9 @@ def test_moments_and_tails_without_each_part_are_those_of_the_rest():
         np.testing.assert_allclose(covariance, np.cov(rest.T), rtol=1e-9)
     away = np.linalg.solve(np.linalg.cholesky(covariance), (rest - mean).T)
     whole = pixels.fit_tail_dof((away**2).sum(axis=0), 3, estimated_on=rest.shape[0])
-    found = pixels.leading_tails(rest, mean, covariance)
+    found = pixels.fit_leading_tails(rest, mean, covariance)
     assert (found.dof, found.scale) == pytest.approx((whole.dof, whole.scale), rel=1e-6)
-    bound = pixels.leading_tails(rest, mean, covariance, (2.0 * whole.dof, np.inf))
+    bound = pixels.fit_leading_tails(rest, mean, covariance, (2.0 * whole.dof, np.inf))
     assert bound.dof == pytest.approx(2.0 * whole.dof, rel=1e-3)
     assert not list(pixels.moments_without_each(sample, np.zeros(800, int)))
 
@@ -242,7 +242,7 @@ def test_interval_of_a_ratio_holds_that_of_the_laws(same):
         moments = [(fitted.mean(), fitted.var(ddof=1)), *pixels.moments_without_each(fitted.reshape(-1, 1), part)]
         stated, *without = (stats.norm.logsf(x, np.squeeze(m), np.sqrt(np.squeeze(v))) for m, v in moments)
         half = 1.96 * np.sqrt((jackknife_directions(without) ** 2).sum(axis=0))
-        measured = pixels.exceedance_curve(pixels.AlarmBlocks.of_map(scores, np.ones(scores.shape, bool)))
+        measured = pixels.exceedance_curve(pixels.AlarmBlocks.from_map(scores, np.ones(scores.shape, bool)))
         for width in (half, 0.0):
             limits = (np.exp(stated + s * width) for s in (0.0, -1.0, 1.0))
             law = ExceedanceCurve(x, *limits, left_out={"all": np.array(without)})

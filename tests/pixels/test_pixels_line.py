@@ -23,7 +23,7 @@ def test_two_panels_are_exact():
     assert line.offset == pytest.approx(OFFSET, rel=1e-12)
     assert line.reflectance(OFFSET + GAIN * np.array([0.2, 0.3, 0.4])) == pytest.approx([0.2, 0.3, 0.4], rel=1e-13)
     assert np.isnan(line.reduced_chi2).all()
-    assert np.isnan(line.leave_one_out).all()
+    assert np.isnan(line.leave_one_out_errors).all()
     # Closed form of two points: var k = (1/W1 + 1/W2)/(rho_2 - rho_1)^2 with 1/W = var L + k^2 var rho.
     inverse = (1e-4 + GAIN**2 * 0.01**2) + (1e-3 + GAIN**2 * 0.02**2)
     assert line.covariance[:, 0, 0] == pytest.approx(inverse / 0.55**2, rel=1e-12)
@@ -66,12 +66,12 @@ def test_leave_one_out_finds_the_wrong_panel():
     panels = [panel(f"{r:g}", r, 0.002, 1e-4) for r in (0.03, 0.2, 0.45, 0.65)]
     wrong = panel("0.2", 0.2, 0.002, 1e-4, radiance=OFFSET + GAIN * 0.26)
     line = fit_elm([panels[0], wrong, *panels[2:]])
-    assert line.leave_one_out[1] == pytest.approx(np.full(3, 0.06), abs=1e-9)  # the others fix the true line
+    assert line.leave_one_out_errors[1] == pytest.approx(np.full(3, 0.06), abs=1e-9)  # the others fix the true line
     # With the wrong panel kept every other one misses; the darkest is an extrapolation and misses by more.
-    assert np.all(np.abs(line.leave_one_out[[0, 2, 3]]) > 0.01)
-    assert np.all(np.abs(line.leave_one_out[0]) > 0.06)
+    assert np.all(np.abs(line.leave_one_out_errors[[0, 2, 3]]) > 0.01)
+    assert np.all(np.abs(line.leave_one_out_errors[0]) > 0.06)
     assert np.all(line.reduced_chi2 > 10)
-    assert fit_elm(panels).leave_one_out == pytest.approx(np.zeros((4, 3)), abs=1e-12)
+    assert fit_elm(panels).leave_one_out_errors == pytest.approx(np.zeros((4, 3)), abs=1e-12)
 
 
 def test_bands_without_contrast_are_marked_not_guessed():
@@ -95,7 +95,7 @@ def test_one_panel_gives_the_ratio_and_its_variance():
     assert line.covariance[:, 0, 0] == pytest.approx([(0.04 + 400 * 1e-4) / 0.25, (0.04 + 225 * 1e-4) / 0.36])
     assert line.reflectance([5.0, 9.0]) == pytest.approx([0.25, 0.6])
     assert np.isnan(line.reduced_chi2).all()
-    assert np.isnan(line.leave_one_out).all()
+    assert np.isnan(line.leave_one_out_errors).all()
 
 
 def test_a_line_is_known_by_the_pixels_of_its_panels():
@@ -117,7 +117,7 @@ def test_a_line_is_known_by_the_pixels_of_its_panels():
             made.append(MeasuredPanel(str(r), *values, pixels, part))
         fit = fit_elm(made)
         level = gain * 0.3
-        difference, error, parts = fit.reflectance(level) - 0.3, fit.error_covariance(level), fit.estimated(level)
+        difference, error, parts = fit.reflectance(level) - 0.3, fit.error_covariance(level), fit.estimated_parts(level)
         np.testing.assert_allclose(sum(p.covariance for p in parts), error, rtol=1e-9)
         refused += [chi_square_full(difference, whitening(error, known)).p_value < 0.05 for known in (parts, ())]
     assert refused[0] / 400 < 0.083

@@ -38,7 +38,7 @@ def test_drawn_eigenvalues_are_those_of_samples_of_pixels(n):
     # n = 6 is of less than full rank; 15 is strongly biased. Two-sample Kolmogorov-Smirnov on the first and third
     # eigenvalue; at p > 1e-3 each of the 6 comparisons rejects a right sampler once in a thousand.
     truth = sample_eigenvalues(n, 600)
-    directions, rng = pixels.EigenDirections.of(sigma()), np.random.default_rng(3)
+    directions, rng = pixels.EigenDirections.from_covariance(sigma()), np.random.default_rng(3)
     band = pixels.sampling_band(directions, n - 1.0, 3, (1,), rng, draws=600)
     for k in (0, 2):
         assert stats.ks_2samp(band.eigenvalues[:, k], truth[:, k]).pvalue > 1e-3
@@ -46,7 +46,7 @@ def test_drawn_eigenvalues_are_those_of_samples_of_pixels(n):
 
 def test_covariance_distance_is_bhattacharyya_without_a_difference_of_means():
     other = np.cov(standard(40, np.random.default_rng(9)).T)
-    factor = pixels.EigenDirections.of(sigma()).factor_of(other)
+    factor = pixels.EigenDirections.from_covariance(sigma()).whitened_factor(other)
     expected = bhattacharyya_distance(np.zeros(P), sigma(), np.zeros(P), other)
     assert pixels.covariance_distance(factor @ factor.T) == pytest.approx(expected, rel=1e-9)
     assert pixels.covariance_distance(np.eye(P)) == pytest.approx(0.0, abs=1e-15)
@@ -236,9 +236,9 @@ def test_noise_of_one_band_has_the_scatter_of_normal_pixels_and_of_its_columns()
 
 def test_kurtosis_rank_and_directions():
     assert [pixels.kurtosis_parameter(dof) for dof in (np.inf, 6.0, 4.0)] == [0.0, 1.0, np.inf]
-    assert pixels.full_rank(24.0, 8)
-    assert not pixels.full_rank(np.array([100.0, 23.0]), 8)
-    assert pixels.EigenDirections.of(np.diag([0.0, 2.0, 0.0])).values.tolist() == [2.0]  # what is rounding is left out
+    assert pixels.is_full_rank(24.0, 8)
+    assert not pixels.is_full_rank(np.array([100.0, 23.0]), 8)
+    assert pixels.EigenDirections.from_covariance(np.diag([0.0, 2.0, 0.0])).values.tolist() == [2.0]  # no rounding
 
 
 def test_degrees_of_freedom_of_a_covariance():

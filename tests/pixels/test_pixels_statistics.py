@@ -10,7 +10,7 @@ from hyperval.pixels import Labels, darkest_values, drawn_pixels, nth_pixels, re
 
 
 def whole(cube, mask=True, needed=True):
-    labels = Labels.of(cube.shape, {"scene": np.broadcast_to(mask, cube.shape)})
+    labels = Labels.from_masks(cube.shape, {"scene": np.broadcast_to(mask, cube.shape)})
     return region_statistics(cube, labels, np.broadcast_to(needed, cube.bands))["scene"]
 
 
@@ -31,7 +31,7 @@ def masks():
 
 def test_statistics_are_the_same_to_the_bit_however_the_cube_is_stored_cut_or_shared_out(tmp_path, monkeypatch):
     x, regions = numbers(), masks()
-    labels = Labels.of((LINES, SAMPLES), regions)
+    labels = Labels.from_masks((LINES, SAMPLES), regions)
     reference = region_statistics(stored(tmp_path, x), labels, np.ones(BANDS, bool))
     for name, mask in regions.items():
         assert reference[name].mean == pytest.approx(x[mask].mean(axis=0), rel=1e-13)
@@ -89,7 +89,7 @@ def test_empty_regions_are_refused(tmp_path):
 def test_masks_come_back_whole_from_their_labels(shape):
     rng = np.random.default_rng(1)
     masks = {str(i): rng.random(shape) < 0.3 for i in range(9)}
-    labels = Labels.of(shape, masks).with_masks([("none", np.zeros(shape, bool))])
+    labels = Labels.from_masks(shape, masks).with_masks([("none", np.zeros(shape, bool))])
     assert list(labels) == [*masks, "none"]
     assert all(np.array_equal(labels[name], mask) for name, mask in masks.items())
     assert not labels["none"].any()

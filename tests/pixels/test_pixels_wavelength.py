@@ -45,15 +45,15 @@ def test_collected_spectra_stand_where_they_should_and_planted_shifts_are_found(
     bands = np.full(w.size, 5.5)
     unmoved = {s.feature: s for s in pixels.wavelength_shifts(radiance, SpectralAxis(w, bands))}
     assert set(unmoved) == {f.name for f in pixels.FEATURES}
-    assert not any(s.certain for s in unmoved.values())
+    assert not any(s.is_significant for s in unmoved.values())
     for planted in (2.0, 5.0, 10.0, -2.0, -5.0, -10.0):
         found = {s.feature: s for s in pixels.wavelength_shifts(radiance, SpectralAxis(w + planted, bands))}
         for feature, shift in found.items():
             assert shift.nm - unmoved[feature].nm == pytest.approx(planted, abs=0.05)
         # The oxygen band sees 5 nm with certainty on every site; 2 nm from the side on which it stood.
         if abs(planted) >= 5.0:
-            assert found[OXYGEN.name].certain
-            assert found[WATER.name].certain
+            assert found[OXYGEN.name].is_significant
+            assert found[WATER.name].is_significant
 
 
 def test_a_shift_is_warned_of_in_the_notes():

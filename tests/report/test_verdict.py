@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hyperval import cli
-from hyperval.compare import marked_as_fitted
+from hyperval.compare import mark_fitted
 from hyperval.errors import UsageError
 from hyperval.figures import campaigns_figure, criteria_figure
 from hyperval.metrics import Evidence, plain_words
@@ -65,9 +65,9 @@ def test_subjects_that_nothing_was_fitted_on_stand_apart():
         "*": "grass, lawn; unseen: none yet",
         "gr*": f"grass; unseen: 1 not met ({WHAT}: lawn)",
     }.items():
-        assert f"Budget and settings were fitted on {told}." in first_screen(marked_as_fitted(rows, [names])).asides
+        assert f"Budget and settings were fitted on {told}." in first_screen(mark_fitted(rows, [names])).asides
     with pytest.raises(UsageError, match="no comparison has the subject 'lot'"):
-        marked_as_fitted(rows, ["lawn", "lot"])
+        mark_fitted(rows, ["lawn", "lot"])
 
 
 def test_what_disagrees_fails_and_was_skipped_is_named_and_many_are_counted():

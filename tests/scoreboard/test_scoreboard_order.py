@@ -5,7 +5,7 @@ import pytest
 from scipy import sparse
 
 from hyperval.model import AREAS
-from hyperval.pixels import AlarmBlocks, alarms_at_detection, counts_of, empirical_roc, roc_area
+from hyperval.pixels import AlarmBlocks, alarms_at_detection, empirical_roc, rank_counts, roc_area
 from hyperval.scoreboard import LOG_AREA, MEASURES, BlockCounts, counts_by_block, draw_metric, rank_detectors, rank_sets
 
 # Ranks with their confidence sets: closed forms, limits, and coverage by Monte Carlo.
@@ -130,7 +130,7 @@ def test_metrics_are_those_of_the_roc(scores, name):
     targets, background, block = scores
     shares = one_detector(targets, background, block).shares(np.ones((7, 1)))
     value = draw_metric(MEASURES[name], *shares, np.ones((targets.size, 1)))[0, 0]
-    counts = counts_of(targets, background)
+    counts = rank_counts(targets, background)
     expected = {
         "auc": lambda: roc_area(counts),
         LOG_AREA: lambda: roc_area(counts, AREAS[LOG_AREA]),
@@ -144,7 +144,7 @@ def test_metrics_are_those_of_the_roc(scores, name):
 def test_blocks_are_squares_of_the_image():
     counted = np.ones((64, 64), bool)
     counted[:, 40:] = False
-    block = AlarmBlocks.of_map(np.zeros((64, 64)), counted).block.reshape(64, 40)
+    block = AlarmBlocks.from_map(np.zeros((64, 64)), counted).block.reshape(64, 40)
     assert len(np.unique(block)) == pytest.approx(64, rel=0.3)
     side = int((block[0] == block[0, 0]).sum())
     assert np.all(block[:side, :side] == block[0, 0])

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hyperval.pixels import counts_of, roc_area
+from hyperval.pixels import rank_counts, roc_area
 
 
 def roc_points(target, background):
@@ -16,4 +16,4 @@ def roc_points(target, background):
 
 def auc(target, background):
     """The area under the whole curve by production's counts."""
-    return roc_area(counts_of(target, background))
+    return roc_area(rank_counts(target, background))

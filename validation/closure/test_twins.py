@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from hyperval.campaign import load_job, run_campaign
-from hyperval.compare import judged
+from hyperval.compare import judge_rows
 from hyperval.config import parse_yaml
 from hyperval.results import Outcome, Result, ResultTable
 
@@ -90,7 +90,7 @@ def test_the_interval_tells_a_fill_from_the_next(runs, pfa):
 
 
 def test_the_broken_twin_fails_the_criteria_of_closure(broken):
-    table = ResultTable(judged(list(broken), load_job(TWIN / "campaign.yaml").campaign.comparisons))
+    table = ResultTable(judge_rows(list(broken), load_job(TWIN / "campaign.yaml").campaign.comparisons))
     failed = {row.product for row in table.where(outcome=Outcome.DISAGREES) if row.gates}
     assert failed >= {"radiance", "reflectance", "roc", "scores", "covariance"}
     for pfa in LEVELS:

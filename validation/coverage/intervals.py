@@ -25,10 +25,10 @@ from hyperval.pixels import (
     EigenDirections,
     area_estimates,
     band_limits,
-    counts_of,
     empirical_roc,
     exceedance_curve,
     noise_part,
+    rank_counts,
     sampling_band,
 )
 from hyperval.products import ObjectScores
@@ -58,7 +58,7 @@ def rates(
     scores: Array, levels: tuple[float, ...], tail: Callable[[float], float], words: str = "", classes: object = None
 ) -> tuple[AlarmBlocks, list[tuple[str, bool]]]:
     """A map's blocks, and whether the intervals of its P_FA at thresholds near some levels hold ``tail`` there."""
-    blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool), classes=classes)
+    blocks = AlarmBlocks.from_map(scores, np.ones(scores.shape, bool), classes=classes)
     curve, found = exceedance_curve(blocks), []
     for level in levels:
         point = int(np.argmin(np.abs(np.log(np.maximum(curve.probability, 1e-9) / level))))
@@ -79,7 +79,7 @@ def detection(rng: np.random.Generator, clustered: bool) -> Intervals:
         for level, true in zip(LEVELS, true_pd, strict=True):
             rate = empirical_roc(target, blocks, level)
             yield f"P_D at {level:g}, {count} targets", bool(rate.pd_lower[0] <= true <= rate.pd_upper[0])
-        counts = counts_of(target, blocks.scores)
+        counts = rank_counts(target, blocks.scores)
         estimates = area_estimates(counts, AREAS, "object" if count < 50 else "pixel", blocks)
         for name, area in estimates.items():
             yield f"{name}, {count} targets", bool(area.lower <= true_areas[name] <= area.upper)
@@ -87,7 +87,7 @@ def detection(rng: np.random.Generator, clustered: bool) -> Intervals:
 
 def _true_areas(separation: float) -> dict[str, float]:
     s = stats.norm.sf(stats.norm.ppf((np.arange(40_000) + 0.5) / 40_000, loc=separation))
-    return {name: float(area.share(s).mean()) for name, area in AREAS.items()}
+    return {name: float(area.weight(s).mean()) for name, area in AREAS.items()}
 
 
 def areas(rng: np.random.Generator, clustered: bool) -> Intervals:
@@ -124,7 +124,7 @@ def eigenvalues(rng: np.random.Generator, clustered: bool) -> Intervals:
         return
     pixels = rng.standard_normal((PIXELS, len(AXIS))) @ _ROOT.T
     measured = np.linalg.eigvalsh(np.cov(pixels.T))[::-1]
-    directions = EigenDirections.of(_COVARIANCE)
+    directions = EigenDirections.from_covariance(_COVARIANCE)
     band = sampling_band(directions, float(PIXELS - 1), max(EIGENVALUES), (1,), rng)
     low, high = band_limits(band.eigenvalues)
     for k in EIGENVALUES:

@@ -46,7 +46,7 @@ from hyperval.pixels import (
     neighbour_shares,
     small_sample_factor,
     snr_decorrelated,
-    with_summary,
+    with_areas_and_alarms,
 )
 from hyperval.products import EstimatedPart, ObjectScores, ObservedProducts, PredictedProducts
 from hyperval.progress import track
@@ -105,7 +105,7 @@ def observed(c: Collection) -> ObservedProducts:
         detector = matched_filter_weights(LOOKED_FOR, around.mean(axis=0), np.cov(around.T))
         scores = [detector.score(x) for x in (line.reflectance(c.targets), around)]
         curve = empirical_roc(*scores)
-        roc["plank", "cem", "pixel"] = with_summary(curve, *scores)
+        roc["plank", "cem", "pixel"] = with_areas_and_alarms(curve, *scores)
         objects["plank", "cem"] = ObjectScores(scores[0], tuple(str(i) for i in range(scores[0].size)))
     snr = {"bright": snr_decorrelated(c.bright)}
     return ObservedProducts(AXIS, radiance, snr, reflectance, roc=roc, object_scores=objects)

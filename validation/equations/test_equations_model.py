@@ -116,7 +116,7 @@ def test_3_22_to_3_25_filters_of_two_truths():
 
 def test_3_27_and_3_29_scores_of_the_classes():
     e, filters = designed()
-    means, sds = class_scores(e.view, filters)
+    means, sds = class_scores(e.retrieval, filters)
     for u in (0, 1):
         for m, of_class in enumerate(plain(u).classes.values()):
             mean, variance = plain(u).scores(of_class)
@@ -133,20 +133,20 @@ def test_3_11_surroundings_by_their_matrix_and_by_the_classes(alike):
     v = rng.normal(size=(2, 3, B))
     e = Evaluation(both(**moved))
     assert e.bands.size == B
-    found = surroundings_variance(e.view.classes, v)
+    found = surroundings_variance(e.retrieval.classes, v)
     for u in (0, 1):
         sigma = plain(u, fractions).surroundings
         assert found[u] == pytest.approx(np.diag(v[u] @ sigma @ v[u].T), rel=1e-11)
-        assert np.diag(e.view.classes.covariance(u)) == pytest.approx(np.diag(sigma), rel=1e-11)
-        around = e.view.classes.around()
+        assert np.diag(e.retrieval.classes.covariance(u)) == pytest.approx(np.diag(sigma), rel=1e-11)
+        around = e.retrieval.classes.scene_variances()
         assert around[u if len(around) > 1 else 0] == pytest.approx(np.diag(sigma), rel=1e-11)
 
 
 def test_3_26_and_3_28_scores_of_target_pixels_in_their_own_light():
     e, filters = designed()
-    found = target_scores(e.view, filters, e.material(0, e.world), np.arange(2))
+    found = target_scores(e.retrieval, filters, e.material(0, e.world), np.arange(2))
     fills, gains = np.array([[0.0, 0.3, 1.0]]), np.array([1.0, 3.0])
-    means, sds = found.at(fills, gains, np.arange(2))
+    means, sds = found.moments(fills, gains, np.arange(2))
     for u in (0, 1):
         for i, f in enumerate(fills[0]):
             mean, variance = plain(u).scores(plain(u).pixel(f, gains[u]))
@@ -157,7 +157,7 @@ def test_3_26_and_3_28_scores_of_target_pixels_in_their_own_light():
 def test_3_7_light_on_a_target_in_the_shade():
     e = Evaluation(both())
     target = e.material(0, e.world)
-    lit, under, factor = e.view.light.surface(target.mean, target.beam, target.sky)
+    lit, under, factor = e.retrieval.light.surface(target.mean, target.beam, target.sky)
     light = plain(1).light()
     assert np.asarray(factor)[:, 0] == pytest.approx(np.array([np.ones(B), light]))
     assert lit[1, 0] == pytest.approx(light * SURFACES["plank"].mean)
@@ -166,9 +166,9 @@ def test_3_7_light_on_a_target_in_the_shade():
 
 def test_3_12_target_pixels_of_a_fill():
     e, f, one = Evaluation(both()), 0.3, plain(1)
-    means, noise, sides, _ = target_pixels(e.view, e.material(0, e.world), np.array([f]))
+    means, noise, sides, _ = target_pixels(e.retrieval, e.material(0, e.world), np.array([f]))
     d_b, (mean, covariance) = (1 - f) * sides[0][-1, 0] + f * sides[1][-1, 0], one.pixel(f)
-    slope, around = e.view.slope[1], e.view.classes.covariance(1)
+    slope, around = e.retrieval.slope[1], e.retrieval.classes.covariance(1)
     whole = one.within(f, 1.0) * np.outer(slope, slope) + around * np.outer(d_b, d_b) + np.diag(noise[1, 0])
     assert means[1, 0] == pytest.approx(mean, rel=1e-9)
     assert whole == pytest.approx(covariance, rel=1e-9)
@@ -190,9 +190,9 @@ def test_3_28_by_monte_carlo():
     """200,000 pixels of drawn fills through light, noise and filter; |z| of mean and variance < 5, failure 1e-6."""
     rng, n = np.random.default_rng(3281), 200_000
     e, filters = designed()
-    found = target_scores(e.view, filters, e.material(0, e.world), np.arange(2))
+    found = target_scores(e.retrieval, filters, e.material(0, e.world), np.arange(2))
     fill, one = beta_fill(0.3, 0.1), plain(1)
-    means, sds = found.at(fill.values[None], np.full(1, 1.0), np.array([1]))
+    means, sds = found.moments(fill.values[None], np.full(1, 1.0), np.array([1]))
     mean = float(fill.weights @ means[0])
     variance = float(fill.weights @ (sds[0] ** 2 + (means[0] - mean) ** 2))
     own, host, light = SURFACES["plank"], SURFACES["grass"], one.light()

@@ -22,7 +22,7 @@ from hyperval.campaign import load_jobs
 from hyperval.datasets import InputLog
 from hyperval.model import ClassScores, log_false_alarm
 from hyperval.observe import observe
-from hyperval.pixels import class_mixture, leading_tails
+from hyperval.pixels import class_mixture, fit_leading_tails
 
 CAMPAIGN = Path(__file__).parents[2] / "campaigns" / "hysu-2018" / "campaign.yaml"
 MATERIALS = ("bitumen", "red_metal", "blue_fabric", "red_fabric", "green_fabric")
@@ -62,7 +62,7 @@ def laws(image: Image, rows: Pixels, count: object, tails: bool) -> list[ClassSc
         mean, covariance = x.mean(axis=0), np.cov(x.T)
         fit = class_mixture(x, image.block[members], count, tails=tails)
         mixture = None if fit is None else fit.components(x)
-        tail = leading_tails(x, mean, covariance) if tails and mixture is None else None
+        tail = fit_leading_tails(x, mean, covariance) if tails and mixture is None else None
         parts += [(members.size / rows.size * f, *rest) for f, *rest in parts_of(mean, covariance, tail, mixture)]
     return [scored(w, offset, parts) for w, offset in zip(image.weights, image.offsets, strict=True)]
 

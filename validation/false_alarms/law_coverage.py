@@ -107,7 +107,7 @@ def fitted(kind: str, pixels: np.ndarray) -> list[ClassScores]:
     moments = [(pixels.mean(axis=0), np.cov(pixels.T)), *px.moments_without_each(pixels, PART)]
     for number, (mean, covariance) in enumerate(moments, -1):
         rest = pixels[number != PART]
-        tails = px.leading_tails(rest, mean, covariance) if kind == "t" else None
+        tails = px.fit_leading_tails(rest, mean, covariance) if kind == "t" else None
         components = None if mixture is None else mixture.components_without(pixels, PART, number)
         out.append(of_moments(mean, covariance, tails, components))
     return out
@@ -132,7 +132,7 @@ def study(case: str, images: int) -> None:
     if case == "two clusters as one t":
         pooled = np.concatenate([image(case, 9000 + i, 0.0) for i in range(40)])
         mean, covariance = pooled.mean(axis=0), np.cov(pooled.T)
-        goal = of_moments(mean, covariance, px.leading_tails(pooled, mean, covariance), None)
+        goal = of_moments(mean, covariance, px.fit_leading_tails(pooled, mean, covariance), None)
     fixed = thresholds_at(np.array([LEVELS]), true)[0]
     hits: dict[tuple[float, str, str], list[bool]] = defaultdict(list)
     values, estimates = [], []
@@ -144,7 +144,7 @@ def study(case: str, images: int) -> None:
         estimates.append(np.sqrt((jackknife_directions([log_tail(fixed, f) for f in fits[1:]]) ** 2).sum(axis=0)))
         for where, counted in (("same", pixels), ("other", image(case, 100_000 + seed))):
             scores = (counted @ WEIGHTS).reshape(SIDE, SIDE)
-            measured = px.exceedance_curve(px.AlarmBlocks.of_map(scores, every))
+            measured = px.exceedance_curve(px.AlarmBlocks.from_map(scores, every))
             shared = px.with_shared_pixels(law, scores, PART.reshape(SIDE, SIDE)) if where == "same" else law
             for name, curve in (
                 ("measured rate alone", ExceedanceCurve(law.threshold, *(law.probability,) * 3)),

@@ -25,8 +25,8 @@ from hyperval.atmosphere.state import AtmosphereModel, AtmosphericState
 from hyperval.config import load_yaml
 from hyperval.data import Array
 from hyperval.errors import UsageError, package_table, refuse
-from hyperval.model import Origins, Truth, UncertainInput, inputs_of, number_input, predict, read_world, value_at
-from hyperval.model.inputs import Kind, error_rows, field_spectrum_of, form_in_words, spectral_input
+from hyperval.model import Origins, Truth, UncertainInput, number_input, predict, read_world, uncertain_inputs, value_at
+from hyperval.model.inputs import Kind, correlation_words, error_rows, field_spectrum_of, spectral_input
 from hyperval.model.world import World, check_numbers
 from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import BackgroundClass, Scenario, SpectralForm, Surface, Target, TargetSubject
@@ -216,7 +216,7 @@ def _input_candidate(item: UncertainInput, sizes: tuple[float, ...], *, budgeted
     """
 
     def truth(direction: int, units: float) -> Truth:
-        return item.direction(direction, units) if direction < item.size else {}
+        return item.perturbation_along(direction, units) if direction < item.size else {}
 
     size = min(item.size, MOST_DIRECTIONS)
     return Candidate(item.name, item.kind, item.correlation, budgeted, (truth,), sizes, path=item.path, size=size)
@@ -282,7 +282,7 @@ def stated_inputs(world: World, usual: Iterable[Candidate]) -> Iterator[Candidat
     [(1.0, -1.0)]
     """
     by_key = {key: c for c in usual if c.sizes for key in (c.name, c.path)}
-    for item in inputs_of(world):
+    for item in uncertain_inputs(world):
         sizes: tuple[float, ...] = (1.0, -1.0) if item.size == 1 else ()
         if sizes and (other := by_key.get(item.path, by_key.get(item.name))) is not None:
             number, _, unit = other.step.partition(" ")
@@ -317,7 +317,7 @@ def usual_inputs(world: World) -> Iterator[Candidate]:
     for s, path in _field_spectra(_ground_surfaces(world)):
         sd = SURFACE * np.nan_to_num(world.stated.surfaces[s.name].mean)
         one = spectral_input(world, field_spectrum_of(s.name), "surface", path, sd, form)
-        words = f"{100 * SURFACE:g} %, {form_in_words(form)}"
+        words = f"{100 * SURFACE:g} %, {correlation_words(form)}"
         yield _input_candidate(replace(one, rows=one.rows[:SURFACE_DIRECTIONS], correlation=words), ())
 
 

@@ -32,7 +32,7 @@ from hyperval.attribute.posterior import ALL, NONE, NOTHING, Posterior, Residual
 from hyperval.attribute.residuals import POINTS, RADIOMETRIC, SPECTRUM_FLOOR, Quantity, Stack, quantities, stack_of
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
-from hyperval.compare.rows import named, row, scientific
+from hyperval.compare.rows import named, row, short_label
 from hyperval.data import Array, Index
 from hyperval.errors import EngineError, HypervalError, MissingDataError, UsageError, needed, refuse
 from hyperval.model import Truth, World
@@ -86,7 +86,7 @@ class ScenarioModel:
     budgeted : the prediction with its error covariances; what they hold beyond the inputs' directions is added to each
         spectrum
     observe : measures the collection again with changed settings, or with a mistake in its image
-        (:meth:`hyperval.observe.open.Place.mistaken`)
+        (:meth:`hyperval.observe.open.Place.with_injected_error`)
     exchanges : what may stand in each other's place: the settings of :attr:`observe` for each pair, and ""; of a
         number, those of so many steps, and a step in words
     looked_for : entries of the spectra that detectors look for, by their targets
@@ -1046,7 +1046,7 @@ def alarm_ratios(predicted: Products, observed: Products) -> dict[Key, Result]:
     >>> [(r.subject, r.method, r.n, r.metric, round(r.value, 9)) for r in alarm_ratios(*sides).values()]
     [('roof background', 'cem', None, 'pfa_ratio@1e-2', 1.0)]
     """
-    wanted = {f"pfa_ratio@{scientific(level)}" for level in POINTS}
+    wanted = {f"pfa_ratio@{short_label(level)}" for level in POINTS}
     return {
         (background_of(name), detector, one.metric): replace(one, subject=background_of(name), method=detector, n=None)
         for (name, detector), measured in observed.exceedance.items()

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy import linalg, special
 
 from hyperval.attribute.candidates import Candidate
-from hyperval.compare.rows import scientific
+from hyperval.compare.rows import short_label
 from hyperval.data import Array, Index, Mask
 from hyperval.model.roc import detection_at
 from hyperval.products import ObjectScores, Products, SpectralEstimate, background_of
@@ -76,7 +76,7 @@ def quantities(predicted: Products, observed: Products) -> dict[Quantity, float]
         for pfa in POINTS if key in predicted.roc and key[2] == "pixel" else ():
             if pfa >= max(curve.pfa[0], predicted.roc[key].pfa[0]):
                 method = f"{key[1]}/{key[2]}"
-                found["roc", key[0], method, f"pd@{scientific(pfa)}"] = float(detection_at(predicted.roc[key], pfa))
+                found["roc", key[0], method, f"pd@{short_label(pfa)}"] = float(detection_at(predicted.roc[key], pfa))
     return found
 
 

@@ -176,7 +176,7 @@ def _undecided_items(job: Job, finished: Path | None) -> Iterator[Item]:
         found = [(row, f"in {finished}: {row.reason}") for row in rows if row.outcome is Outcome.UNDECIDED]
     elif campaign.collection.cube is None and campaign.scenarios and any(g.gate for g in campaign.comparisons):
         found = [(row, f"to decide it: {words}") for row, words in undecided_criteria_of(job)]
-    for row, words in ((row, words) for row, words in found if not any(gate.covers(row) for gate in bare)):
+    for row, words in ((row, words) for row, words in found if not any(gate.matches(row) for gate in bare)):
         state = NEVER_MET if row.never_met else INCONCLUSIVE
         yield Item("", COMPARISON, state, f"{row.product} {row_name(row)}", words)
 

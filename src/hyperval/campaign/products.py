@@ -22,7 +22,7 @@ from hyperval.atmosphere.solar import parse_utc
 from hyperval.attribute import ScenarioModel, Truths, exchanged_pairs, few_objects, scale_warnings, substitutions
 from hyperval.campaign.schema import Campaign, Job, load_scenarios
 from hyperval.collection import Detection
-from hyperval.compare import compare_products, judged, marked_as_fitted, would_decide
+from hyperval.compare import compare_products, judge_rows, mark_fitted, would_decide
 from hyperval.compare.spectra import LEAST_OF_NOISE, snr_beside_texture
 from hyperval.config import twice
 from hyperval.data import NUMERICAL_DETECTORS, Mask
@@ -62,7 +62,7 @@ def completed_scenario(scenario: Scenario, place: observe.Place | None, detectio
         for p in t.populations
         if p.fill.truth is not None
     }
-    fills = observe.fills_of(_objects(place, detection)) if asked else {}
+    fills = observe.subject_fills(_objects(place, detection)) if asked else {}
     for path, name in asked.items():
         offered = one_of(fills, "targets from a finer image or from abundances")
         refuse(name not in fills, "fractions.fill", name=name, there=offered)
@@ -199,7 +199,7 @@ def _object_differences(place: observe.Place, fill: Fill, members: Sequence[Targ
     if geometry is None or not members:
         return
     is_touched = geometry.pixels == "touched"
-    stated = float(np.mean(model.touched_counts(geometry)) if is_touched else model.pixels_of_object(fill))
+    stated = float(np.mean(model.touched_counts(geometry)) if is_touched else model.object_pixel_count(fill))
     counted = float(np.mean([np.count_nonzero(observe.scored_part(o, place).part) for o in members]))
     pixel_m, sides_m = math.sqrt(place.pixel_area_m2 or 0.0), [o.side_m for o in members if math.isfinite(o.side_m)]
     side_m = float(np.mean(sides_m)) if sides_m else None
@@ -228,7 +228,7 @@ class ObservedCampaign:
         return model.Origins(
             self.observed.observation.axis, self._laws.statistics(scenario),
             partial(self.inputs.resolve, base=scenario.folder),  # references of a scenario are relative to its own file
-            left_out=lambda: self._laws.left_out(scenario), read=self.read,
+            left_out=lambda: self._laws.jackknife_replicates(scenario), read=self.read,
         )  # fmt: skip
 
     @cached_property
@@ -406,7 +406,7 @@ def outcomes(side: ObservedCampaign, prediction: PredictedProducts) -> list[Resu
     margin, fitted_on = campaign.equivalence_margin, campaign.fitted_on
     rows = compare_products(*sides, method=method, equivalence_margin=margin, fitted_on=fitted_on)
     pools = {pool.name: pool.subjects for pool in campaign.detection.pools} if campaign.detection else {}
-    return marked_as_fitted(judged(rows, campaign.comparisons), fitted_on, pools)
+    return mark_fitted(judge_rows(rows, campaign.comparisons), fitted_on, pools)
 
 
 def undecided_criteria(side: ObservedCampaign, rows: Iterable[Result], predicted: Products) -> list[tuple[Result, str]]:
@@ -474,8 +474,8 @@ def attribution_model(side: ObservedCampaign, prediction: Products) -> ScenarioM
         if before is not None and before.place is not None and mistake:
             is_shifted = {"nm", "scale"} & set(mistake)  # regions by rule are then elsewhere too
             place = observe.open_place(changed.collection, side.inputs.resolve, mistake) if is_shifted else before.place
-            same_pixels = not {"gain", "offset", "nm", "scale"} & mistake.keys()
-            before = replace(before, place=place.mistaken(mistake), sampling=before.sampling if same_pixels else {})
+            sampling = {} if {"gain", "offset", "nm", "scale"} & mistake.keys() else before.sampling
+            before = replace(before, place=place.with_injected_error(mistake), sampling=sampling)
         return valid_snr(observe.observe(changed.collection, detection, side.inputs.resolve, before=before).observation)
 
     looked_for = spectrum_entries(side.campaign.detection.targets if side.campaign.detection else ())

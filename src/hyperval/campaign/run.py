@@ -129,7 +129,7 @@ def uncompared_run(job: Job, outcome: Outcome, reason: str, remedy: str = "") ->
     """The planned comparisons of a campaign that could not be made, each as a row."""
     campaign = job.outline
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.BROKEN
-    rows = [gate.unmade(subject, outcome, cause, reason) for gate in campaign.comparisons for subject in gate.subjects]
+    rows = [gate.row_for(subject, outcome, cause, reason) for gate in campaign.comparisons for subject in gate.subjects]
     record = record_of(InputLog.of_file(job.path), [], None, {"campaign": campaign}, [])
     return build_run(campaign, rows, provenance=record, notes=[reason, *campaign.assumptions], remedy=remedy)
 

@@ -310,7 +310,7 @@ def drift(
     years = [when.timestamp() / hyperval.run.SECONDS_PER_YEAR for when, _ in days]
     trend = hyperval.compare.drift(years, [row.value for _, row in days])
     interval = f"95 % interval {trend.lower:+.3g} to {trend.upper:+.3g} ({len(days)} days)"
-    outcome = within and hyperval.compare.against_range(trend.lower, trend.upper, *within)
+    outcome = within and hyperval.compare.compare_with_range(trend.lower, trend.upper, *within)
     judged = f": {outcome} with {within[0]:g} to {within[1]:g}" if within else ""
     print_note(f"{metric} changes by {trend.value:+.3g} in a year, {interval}{judged}")
     return {None: 0, "agrees": 0, "disagrees": 1}.get(outcome, 5)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hyperval import pixels
-from hyperval.compare.rows import COMPARISON, row, said, without
+from hyperval.compare.rows import COMPARISON, row, said, skip_as
 from hyperval.data import Array, Mask
 from hyperval.errors import UsageError
 from hyperval.model.classification import bhattacharyya_distance
@@ -150,8 +150,8 @@ class Sampled:
     sides: tuple[SpectralEstimate, SpectralEstimate]
     bands: Mask
     covariances: tuple[Array, Array]
-    measured: pixels.Statistics
-    band: pixels.Statistics
+    measured: pixels.CovarianceStatistics
+    band: pixels.CovarianceStatistics
     eigenvalues: Array
     distance: float
     directions: pixels.EigenDirections
@@ -174,42 +174,42 @@ def sampled(
         return None
     bands, n = compared_bands(p, o, observed.axis), o.n
     if n < FEWEST_PIXELS or not bands.any():
-        return without("few_pixels.covariance", COMPARISON, n=n, bands=int(bands.sum()))
+        return skip_as("few_pixels.covariance", COMPARISON, n=n, bands=int(bands.sum()))
     block = np.ix_(bands, bands)
     first, second = np.asarray(p.pixel_covariance)[block], np.asarray(o.pixel_covariance)[block]
-    first = first + np.diag(_rounding(o)[bands])
+    first = first + np.diag(_rounding_variances(o)[bands])
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
-        return without("no_value.covariance", COMPARISON)
+        return skip_as("no_value.covariance", COMPARISON)
     # Pixels that have tails scatter by them, whatever law is predicted.
     tail, law = (side.distribution.get(subject, PixelDistribution()) for side in (observed, predicted))
     tails = law.tail_dof, tail.leading_tail_dof if math.isfinite(tail.leading_upper) else math.inf
     kurtosis = pixels.kurtosis_parameter(min(tails))
     if math.isinf(kurtosis):
-        return without("heavy_tails.covariance", COMPARISON, predicted=tails[0], measured=tails[1])
-    directions = pixels.EigenDirections.of(first)
+        return skip_as("heavy_tails.covariance", COMPARISON, predicted=tails[0], measured=tails[1])
+    directions = pixels.EigenDirections.from_covariance(first)
     size = directions.values.size
     independent = independent_pixels(n, observed.distribution.get(subject), size)
-    factor = directions.factor_of(second)
+    factor = directions.whitened_factor(second)
     count = max(min(most, size, n - 1, int(independent.min()), factor.shape[1]), 1)
     spaces = tuple(k for k in SPACES if k <= count and k < size)
-    measured = pixels.statistics_of_covariance(directions, factor, count, spaces)
-    full, lacks = pixels.full_rank(independent, size), factor.shape[1] < size
+    measured = pixels.covariance_statistics(directions, factor, count, spaces)
+    full, lacks = pixels.is_full_rank(independent, size), factor.shape[1] < size
     distance = math.nan if not full else math.inf if lacks else pixels.covariance_distance(factor @ factor.T)
-    errors = _errors((p, o), bands)
+    errors = _spread_errors((p, o), bands)
     counts = min(count, EIGENVALUES), count  # a figure's first ones are those of rows
-    bands_of = [_band(directions, independent, k, spaces, kurtosis, errors) for k in counts]
+    bands_of = [_sampling_band(directions, independent, k, spaces, kurtosis, errors) for k in counts]
     limits = [np.stack([x.eigenvalues.mean(axis=0), *pixels.band_limits(x.eigenvalues)]) for x in bands_of]
     drawn = np.hstack([limits[0], limits[1][:, EIGENVALUES:]])
     both = (p, o), bands, (first, second)
     return Sampled(*both, measured, bands_of[0], drawn, distance, directions, independent, errors, spaces, n, kurtosis)
 
 
-_DRAWN: dict[tuple[Any, ...], pixels.Statistics] = {}
+_DRAWN: dict[tuple[Any, ...], pixels.CovarianceStatistics] = {}
 
 
-def _band(
+def _sampling_band(
     directions: pixels.EigenDirections, dof: Array, count: int, spaces: tuple[int, ...], kurtosis: float, errors: Array
-) -> pixels.Statistics:
+) -> pixels.CovarianceStatistics:
     """The draws that rows and figures of a subject share."""
     law = b"".join(x.tobytes() for x in (directions.vectors, directions.values, dof, errors))
     key, rng = (sha256(law).digest(), count, spaces, kurtosis), np.random.default_rng(_SEED)
@@ -220,11 +220,11 @@ def _band(
     return _DRAWN[key]
 
 
-def _rounding(observed: SpectralEstimate) -> Array:
+def _rounding_variances(observed: SpectralEstimate) -> Array:
     return np.zeros(observed.mean.size) if observed.rounding is None else observed.rounding
 
 
-def _errors(sides: Iterable[SpectralEstimate], bands: Mask) -> Array:
+def _spread_errors(sides: Iterable[SpectralEstimate], bands: Mask) -> Array:
     """(2, K, b) errors of both spreads: it is the same to the difference which side is off."""
     none = np.zeros((2, 0, np.count_nonzero(bands)))
     each = (side.spread_errors[..., bands] for side in sides if side.spread_errors is not None)
@@ -261,7 +261,7 @@ def _distance_rows(sample: Sampled) -> Iterator[Result]:
     found, metrics = sample.distance, ("bhattacharyya_distance", "bhattacharyya_covariance_excess")
     if math.isnan(found):
         fewest, size = float(sample.independent.min()) + 1.0, sample.independent.size
-        yield from without("few_pixels.distance", *metrics, fewest=fewest, size=size)
+        yield from skip_as("few_pixels.distance", *metrics, fewest=fewest, size=size)
         return
     (p, o), (first, second) = (side.mean[sample.bands] for side in sample.sides), sample.covariances
     try:
@@ -269,8 +269,8 @@ def _distance_rows(sample: Sampled) -> Iterator[Result]:
     except UsageError:
         distance = math.inf
     if math.isinf(found + distance):
-        ranks = [pixels.EigenDirections.of(c).values.size for c in (first, second)]
-        yield from without("no_value.distance", *metrics, predicted=ranks[0], measured=ranks[1], bands=len(first))
+        ranks = [pixels.EigenDirections.from_covariance(c).values.size for c in (first, second)]
+        yield from skip_as("no_value.distance", *metrics, predicted=ranks[0], measured=ranks[1], bands=len(first))
         return
     n, rng = sample.independent, partial(np.random.default_rng, _SEED)
     law = partial(pixels.distance_band, sample.directions, n, errors=sample.errors)
@@ -298,13 +298,13 @@ def _noise_rows(sample: Sampled, sources: Mapping[str, Array], samples: int) -> 
     texture = np.asarray(predicted.pixel_covariance)[block] - np.diag(total[bands])
     calibration = sources.get("calibration", np.zeros_like(total))[bands]
     common = calibration * np.diag(texture) / predicted.mean[bands] ** 2  # (3.17) of L^2 + var L
-    noise = total[bands] + common + _rounding(observed)[bands]
+    noise = total[bands] + common + _rounding_variances(observed)[bands]
     first, second = texture + np.diag(noise), np.asarray(observed.pixel_covariance)[block]
-    columns = {"calibration": calibration + common, "samples": samples, "errors": _errors(sample.sides, bands)}
+    columns = {"calibration": calibration + common, "samples": samples, "errors": _spread_errors(sample.sides, bands)}
     factor, uncertainty = pixels.noise_part(second, first, noise, sample.independent, sample.kurtosis, **columns)
     low, high = (factor + sign * Z95 * uncertainty for sign in (-1.0, 1.0))
     if factor <= 0.0:
-        yield from without("few_pixels.noise", "noise_ratio")
+        yield from skip_as("few_pixels.noise", "noise_ratio")
         return
     why = f"noise is {np.median(noise / np.diag(first)):.2g} of the predicted variance (median over bands)"
     # Open where noise is not seen for certain: the rows that remained without these had too much noise by chance.

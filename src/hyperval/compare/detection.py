@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from hyperval.compare.rows import Interval, named, of_sides, row, said, scientific, without
+from hyperval.compare.rows import Interval, named, row, said, short_label, skip_as, with_difference
 from hyperval.compare.spectra import noncentrality
 from hyperval.data import Array, Mask
 from hyperval.metrics import Evidence
@@ -54,7 +54,7 @@ def compare_scores(predicted: ScoreDistribution, observed: ScoreDistribution) ->
         sides = np.hypot(0.5 * np.log(scipy.stats.chi2.ppf([0.025, 0.975], dof) / dof), wide[1])
         yield row("score_sd_ratio", ratio, (ratio * np.exp([-1.0, 1.0] * sides)).tolist(), n=n)
     else:
-        yield from without("few_pixels.scores", "score_sd_ratio")
+        yield from skip_as("few_pixels.scores", "score_sd_ratio")
 
 
 LEVELS = (1e-1, 1e-2, 1e-3, 1e-4)
@@ -74,28 +74,28 @@ def compare_exceedance(predicted: ExceedanceCurve, observed: ExceedanceCurve) ->
     """
     n = observed.n or 0
     for level in LEVELS:
-        label = scientific(level)
+        label = short_label(level)
         if level * n < LEAST_EXPECTED_ALARMS:
             if level >= 1e-3:
-                yield from without("few_alarms.pfa", f"pfa_ratio@{label}", n=observed.n, alarms=level * n)
+                yield from skip_as("few_alarms.pfa", f"pfa_ratio@{label}", n=observed.n, alarms=level * n)
             continue
         k = nearest_point(observed, level)
         measured, threshold = float(observed.probability[k]), observed.threshold[k]
         if not 0.5 * level < measured < 2.0 * level:
-            yield from without("beyond_curve.ties", f"pfa_ratio@{label}", n=observed.n, share=measured, label=label)
+            yield from skip_as("beyond_curve.ties", f"pfa_ratio@{label}", n=observed.n, share=measured, label=label)
             continue
         ratio = false_alarm_ratio(predicted, observed, k)
         extrapolated = threshold > predicted.threshold[predicted.probability > 0][-1]
         halves = math.nan if observed.half_image is None else float(observed.half_image[k])
         words = said("pfa_ratio", ratio=ratio, threshold=threshold, beyond=extrapolated, observed=observed, at=k)
         yield row(f"pfa_ratio@{label}", ratio.value, (ratio.lower, ratio.upper), n=observed.n, reason=words)
-        yield from _without_part(f"pfa_ratio_without@{label}", ratio.value, threshold, predicted)
+        yield from _ratio_without_part(f"pfa_ratio_without@{label}", ratio.value, threshold, predicted)
         if np.isfinite(halves):
             why = f"of {round(measured * n)} alarms; median over random halves"
             yield row(f"pfa_repeatability@{label}", halves, n=observed.n, reason=why)
 
 
-def _without_part(metric: str, ratio: float, threshold: float, predicted: ExceedanceCurve) -> Iterator[Result]:
+def _ratio_without_part(metric: str, ratio: float, threshold: float, predicted: ExceedanceCurve) -> Iterator[Result]:
     """The ratio nearest to 1 of those without one part of the image, where they are known, and which part that is."""
     if (parts := predicted.influence) is None:
         return
@@ -132,7 +132,7 @@ def compare_classification(p: ClassificationError, o: ClassificationError) -> It
     words = "" if o.effective_n is None else f"{o.effective_n:.0f} of {o.n} pixels count as independent"
     first = row("error_predicted", p.error, (p.lower, p.upper), n=p.n)
     second = row("error_observed", o.error, (o.lower, o.upper), n=o.n, reason=words)
-    yield from (rows := of_sides("error_{}".format, first, second))
+    yield from (rows := with_difference("error_{}".format, first, second))
     yield _inside_row("error_inside_interval", rows[-1], second)
     yield row("error_approximation", p.approximation)
     yield row("distance_predicted", p.distance)
@@ -213,7 +213,7 @@ def judged_together(
     [0.54, 0.28, 0.86]
     """
     if not measured:
-        yield from without("no_observation.objects", *OF_ALL)
+        yield from skip_as("no_observation.objects", *OF_ALL)
         return
     rng = np.random.default_rng(_SEED)
     rows, half = len(predicted[next(iter(measured))].values), REPLICATES // 2
@@ -240,7 +240,7 @@ def judged_together(
         yield row("pit_spread_ratio", middle, (low, high), n=z.size, reason=f"normal scores about their mean, {_DRAWS}")
 
 
-def _tail(statistic: float, reference: Array) -> float:
+def _tail_share(statistic: float, reference: Array) -> float:
     """Share of the reference (R,) at or beyond the statistic."""
     return float((1 + np.sum(reference >= statistic)) / (1 + reference.size))
 
@@ -259,7 +259,7 @@ def _inside_rows(u: Array, reference: Array, wide: Array, note: str) -> Iterator
     yield row(OF_ALL[0], inside / n, (lower, upper), n=n, reason=why)
     about = Effect(inside / n, lower, upper, partial(drawn_range, expected / n, 1.0, 0.0), decides=False)
     width, why = _width_found(-expected, -in_central_95(wide).sum(axis=2)), f"of so few inside, by the model{note}"
-    yield row(OF_ALL[1], _tail(-inside, -expected), n=n, detectable=width, reason=why, about=about)
+    yield row(OF_ALL[1], _tail_share(-inside, -expected), n=n, detectable=width, reason=why, about=about)
 
 
 def _uniformity_row(u: Array, reference: Array, wide: Array, note: str) -> Result:
@@ -270,7 +270,7 @@ def _uniformity_row(u: Array, reference: Array, wide: Array, note: str) -> Resul
     about = Effect(distance, *ends, partial(drawn_range, distances, 0.0, 1.0), decides=False)
     why = f"Kolmogorov-Smirnov distance, against sets of objects drawn from the model{note}"
     width = _width_found(distances, distance_from_uniform(wide))
-    return row(OF_ALL[2], _tail(distance, distances), n=u.size, detectable=width, reason=why, about=about)
+    return row(OF_ALL[2], _tail_share(distance, distances), n=u.size, detectable=width, reason=why, about=about)
 
 
 def _joint_distance(z: Array, x: Array, wide: Array, note: str) -> Iterator[Result]:
@@ -281,7 +281,7 @@ def _joint_distance(z: Array, x: Array, wide: Array, note: str) -> Iterator[Resu
     """
     half, n = x.shape[0] // 2, z.size
     if n > MOST_JOINED:
-        yield from without("few_pixels.draws", "joint_distance_p_value", n=n, most=MOST_JOINED)
+        yield from skip_as("few_pixels.draws", "joint_distance_p_value", n=n, most=MOST_JOINED)
         return
     inverse = np.linalg.pinv(np.atleast_2d(np.cov(x[:half], rowvar=False)))
 
@@ -295,7 +295,7 @@ def _joint_distance(z: Array, x: Array, wide: Array, note: str) -> Iterator[Resu
     width = _width_found(reference, distance(scipy.special.ndtri(wide)), POWER_LEVEL / 2.0)  # the other tail counts too
     about = Effect(size, min(low, size), max(high, size), accepted, (math.nan, width))
     why = f"Mahalanobis distance of the normal scores, {_DRAWS}{note}"
-    yield row("joint_distance_p_value", _tail(found, reference), n=n, detectable=width, reason=why, about=about)
+    yield row("joint_distance_p_value", _tail_share(found, reference), n=n, detectable=width, reason=why, about=about)
 
 
 def _drift_rows(z: Array, drawn_scores: Array, strength: Array, note: str) -> Iterator[Result]:
@@ -311,7 +311,7 @@ def _drift_rows(z: Array, drawn_scores: Array, strength: Array, note: str) -> It
     found = float(np.quantile(np.abs(drawn), 1.0 - POWER_LEVEL) - np.quantile(drawn, 1.0 - POWER))
     accepted = partial(drawn_range, np.concatenate([drawn, -drawn]), 0.5, 0.5)
     yield row("pit_trend", slope, ends, n=z.size, reason=_DRAWS)
-    p, about = _tail(abs(slope), np.abs(drawn)), Effect(slope, *ends, accepted, (-found, found))
+    p, about = _tail_share(abs(slope), np.abs(drawn)), Effect(slope, *ends, accepted, (-found, found))
     why = f"drift of the normal scores, {_DRAWS}{note}"
     yield row("pit_trend_p_value", p, n=z.size, detectable=found, reason=why, about=about)
 
@@ -349,17 +349,17 @@ def compare_object_scores(
     found = {name: measured[name].values if name in measured else np.empty(0) for name in predicted}
     found = {name: scores[np.isfinite(scores)] for name, scores in found.items()}
     for name, scores in found.items():
-        yield from named(_of_subject(predicted[name], scores), "scores", name, method)
+        yield from named(_subject_rows(predicted[name], scores), "scores", name, method)
     lost = ", ".join(name for name, scores in found.items() if not scores.size)
     common = {name: scores for name, scores in found.items() if scores.size}
     note = f"; without {lost}" if lost else ""
     yield from named(judged_together(predicted, common, note), "scores", EVERY_OBJECT, method)
 
 
-def _of_subject(model: ObjectScores, scores: Array) -> Iterator[Result]:
+def _subject_rows(model: ObjectScores, scores: Array) -> Iterator[Result]:
     """Rows of the objects of one subject, with their finite scores."""
     if scores.size == 0:
-        yield from without("no_observation.score", "object_score_pit", "object_score_inside_95")
+        yield from skip_as("no_observation.score", "object_score_pit", "object_score_inside_95")
     elif scores.size > 1:
         yield from judged_together({"": model}, {"": scores})
     else:
@@ -416,25 +416,25 @@ def compare_abundance(predicted: Abundance, observed: Abundance) -> Iterator[Res
     if p > 0:
         yield row("area_ratio", o / p, ratio_limits(o, uo, p, up), n=n, evidence=evidence)
     else:
-        yield from without("not_positive.area", "area_ratio", side="predicted")
+        yield from skip_as("not_positive.area", "area_ratio", side="predicted")
     if o > 0:
         low, high = ratio_limits(p, up, o, uo)
         yield row("area_difference_ratio", p / o - 1.0, (low - 1.0, high - 1.0), n=n, evidence=evidence)
     else:
-        yield from without("not_positive.area", "area_difference_ratio", side="observed")
+        yield from skip_as("not_positive.area", "area_difference_ratio", side="observed")
     if (nominal := observed.nominal_m2) is not None:
         yield row("area_error_predicted", p - nominal, half=Z95 * up, n=predicted.n)
         yield row("area_error_observed", o - nominal, half=Z95 * uo, n=n)
         if nominal > 0:
             yield row("area_nominal_ratio", o / nominal, half=Z95 * uo / nominal, n=n)
         else:
-            yield from without("not_positive.area", "area_nominal_ratio", side="nominal")
+            yield from skip_as("not_positive.area", "area_nominal_ratio", side="nominal")
         yield row("area_in_predicted_95", abs(p - o) <= Z95 * up, n=n)
     if (u := float(np.hypot(up, uo))) > 0:
         yield row("area_z", (p - o) / u, evidence=evidence)
         yield row("area_inside_95", abs((p - o) / u) <= Z95, evidence=evidence)
     else:
-        yield from without("no_uncertainty.area", "area_z", "area_inside_95")
+        yield from skip_as("no_uncertainty.area", "area_z", "area_inside_95")
 
 
 def compare_area_errors(
@@ -514,10 +514,10 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
     i, m, n = np.flatnonzero(np.abs(observed.pfa - pfa) <= 1e-9 * pfa), observed.n_target, observed.n_background or 0
     if observed.alarms is None or pfa * n < LEAST_EXPECTED_ALARMS or not i.size:
         return
-    label, alarms, density = scientific(pfa), int(observed.alarms[i[-1]]), samples_per_km2(observed)
+    label, alarms, density = short_label(pfa), int(observed.alarms[i[-1]]), samples_per_km2(observed)
     counted = np.array([alarms, n]) / (1.0 if observed.design_effect is None else observed.design_effect[i[-1]])
     if math.isnan(density):
-        yield from without("no_ground_area.background", f"far_measured@{label}")
+        yield from skip_as("no_ground_area.background", f"far_measured@{label}")
     else:
         area = observed.background_area_km2 or math.nan
         ends = tuple(float(x) * density for x in clopper_pearson(*counted))
@@ -534,10 +534,10 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
         return
     name = f"pd_inside_joint_region@{label}"
     if most - least > WIDEST_INTERVAL:
-        yield from without("vacuous.region", name, n=m, unit=observed.unit)
+        yield from skip_as("vacuous.region", name, n=m, unit=observed.unit)
         return
     first, last = float(predicted.pfa[0]), float(predicted.pfa[-1])
-    lo, hi = (read_at(predicted, x) if first <= x <= last else (float(x > last), (math.nan, math.nan)) for x in span)
+    lo, hi = (pd_at(predicted, x) if first <= x <= last else (float(x > last), (math.nan, math.nan)) for x in span)
     bands = np.nan_to_num([hi[1][1] - hi[0], lo[0] - lo[1][0]])
     below, above = np.hypot([detected / m - least, most - detected / m], bands)
     # A rising curve crosses the rectangle unless it lies below it at the right end or above it at the left end.
@@ -568,21 +568,21 @@ def far_at_detection_rows(predicted: RocCurve | None, observed: RocCurve) -> Ite
     for point in observed.at_detection:
         name = f"far_{{}}@pd{point.pd:g}".format
         if math.isnan(density):
-            yield from without("no_ground_area.background", name("measured"))
+            yield from skip_as("no_ground_area.background", name("measured"))
             continue
         at_most = float(clopper_pearson(0, n, 0.9)[1]) * density if (n := observed.n_background) else math.nan
         why = said("far_measured", point=point, observed=observed, density=density, at_most=at_most)
         ends = point.pfa_lower * density, point.pfa_upper * density
         measured = row(name("measured"), point.pfa * density, ends, n=observed.n_target, reason=why)
         first = _predicted_alarms(name("predicted"), predicted, point.pd, density) if predicted else None
-        yield from of_sides(name, first, measured)
+        yield from with_difference(name, first, measured)
 
 
 def _predicted_alarms(metric: str, curve: RocCurve, pd: float, density: float) -> Result:
     """Alarms per km2 where a predicted curve reaches P_D; its band bounds them."""
     p, low, high = (10.0 ** log10_false_alarm_at(curve, pd, y) for y in (curve.pd, curve.pd_upper, curve.pd_lower))
     if math.isnan(p):
-        return without("beyond_curve.pd", metric, pd=pd)[0]
+        return skip_as("beyond_curve.pd", metric, pd=pd)[0]
     # Where a limit of the band lies wholly above or below that P_D, its end of the range bounds P_FA.
     ends = 0.0 if math.isnan(low) else min(low, p), 1.0 if math.isnan(high) else max(high, p)
     return row(metric, p * density, (ends[0] * density, ends[1] * density))
@@ -594,9 +594,9 @@ def _measured_area(metric: str, observed: RocCurve, full: str, area: RocArea) ->
     if found is not None:
         return row(metric, found.value, (found.lower, found.upper), n=observed.n_target, reason=found.method)
     if observed.areas and area.logarithmic and n is not None:
-        return without("few_alarms.area", metric, n=n, name=full, low=area.low, least=LEAST_EXPECTED_ALARMS)[0]
+        return skip_as("few_alarms.area", metric, n=n, name=full, low=area.low, least=LEAST_EXPECTED_ALARMS)[0]
     if math.isnan(value := curve_area(observed, area)):
-        return without("beyond_curve.measured_area", metric)[0]
+        return skip_as("beyond_curve.measured_area", metric)[0]
     return row(metric, value, n=observed.n_target, reason="no interval: the scores behind the curve are not known")
 
 
@@ -610,10 +610,10 @@ def area_rows(predicted: RocCurve | None, observed: RocCurve | None) -> Iterator
     Examples
     --------
     >>> import numpy as np
-    >>> from hyperval.pixels.roc import empirical_roc, with_summary
+    >>> from hyperval.pixels.roc import empirical_roc, with_areas_and_alarms
     >>> rng = np.random.default_rng(0)
     >>> target, background = rng.normal(2.0, 1.0, 40), rng.normal(size=20_000)
-    >>> measured = with_summary(empirical_roc(target, background), target, background)
+    >>> measured = with_areas_and_alarms(empirical_roc(target, background), target, background)
     >>> [(r.metric, round(r.value, 2)) for r in area_rows(measured, measured)]
     [('auc_predicted', 0.94), ('auc_measured', 0.94), ('auc_difference', 0.0), ('partial_auc_predicted@0..1e-1',
     0.59), ('partial_auc_measured@0..1e-1', 0.59), ('partial_auc_difference@0..1e-1', -0.0),
@@ -627,9 +627,9 @@ def area_rows(predicted: RocCurve | None, observed: RocCurve | None) -> Iterator
             value, *limits = (curve_area(predicted, area, y) for y in (None, predicted.pd_lower, predicted.pd_upper))
             first = row(name("predicted"), value, (min(value, *limits), max(value, *limits)))
             if math.isnan(value):
-                (first,) = without("beyond_curve.area", first.metric, span=span)
+                (first,) = skip_as("beyond_curve.area", first.metric, span=span)
         second = _measured_area(name("measured"), observed, full, area) if observed else None
-        yield from of_sides(name, first, second)
+        yield from with_difference(name, first, second)
 
 
 ALWAYS = (1e-1, 1e-2, 1e-3)
@@ -641,7 +641,7 @@ METRICS = ("pd_predicted", "pd_measured", "pd_difference", "pd_inside_interval",
 SAME_READING = 1e-3
 
 
-def read_at(curve: RocCurve, pfa: float) -> tuple[float, Interval]:
+def pd_at(curve: RocCurve, pfa: float) -> tuple[float, Interval]:
     """P_D at ``pfa`` with its 95 % limits; NaN outside the curve."""
     value, low, high = (float(detection_at(curve, pfa, y)) for y in (None, curve.pd_lower, curve.pd_upper))
     return value, (low, high)
@@ -720,20 +720,20 @@ def whole_curve_rows(predicted: RocCurve | None, observed: RocCurve) -> Iterator
 
 
 def _point_rows(predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | None) -> Iterator[Result]:
-    label = scientific(pfa)
+    label = short_label(pfa)
     names = [f"{m}@{label}" for m in (*METRICS, *(["pd_equivalence"] if margin is not None else []))]
     n, background = observed.n_target, observed.n_background
     if background is not None and pfa * background < LEAST_EXPECTED_ALARMS:
-        yield from without("few_alarms.pd", *names, n=background, pfa=pfa, label=label, least=LEAST_EXPECTED_ALARMS)
+        yield from skip_as("few_alarms.pd", *names, n=background, pfa=pfa, label=label, least=LEAST_EXPECTED_ALARMS)
         return
-    (p, band), (o, (low, high)) = read_at(predicted, pfa), read_at(observed, pfa)
+    (p, band), (o, (low, high)) = pd_at(predicted, pfa), pd_at(observed, pfa)
     if math.isnan(p) or math.isnan(o):
-        yield from without("beyond_curve.point", *names, side="predicted" if math.isnan(p) else "measured", label=label)
+        yield from skip_as("beyond_curve.point", *names, side="predicted" if math.isnan(p) else "measured", label=label)
         return
     right = row(names[1], o, (low, high), n=n)
-    yield from (rows := of_sides(f"pd_{{}}@{label}".format, row(names[0], p, band), right))
+    yield from (rows := with_difference(f"pd_{{}}@{label}".format, row(names[0], p, band), right))
     if high - low > WIDEST_INTERVAL:
-        yield from without("vacuous.interval", *names[3:], low=low, high=high, curve=observed)
+        yield from skip_as("vacuous.interval", *names[3:], low=low, high=high, curve=observed)
         return
     difference = rows[-1]
     yield _inside_row(names[3], difference, right)
@@ -768,10 +768,10 @@ def _preset_rows(predicted: RocCurve, pfa: float, swept: float, measured: Result
     if not axis[0] <= pfa <= axis[-1]:
         return
     pd, low, high = (y[order] for y in (predicted.pd, predicted.pd_lower, predicted.pd_upper))
-    value, ends = read_at(replace(predicted, pfa=axis, pd=pd, pd_lower=low, pd_upper=high), pfa)
+    value, ends = pd_at(replace(predicted, pfa=axis, pd=pd, pd_lower=low, pd_upper=high), pfa)
     if abs(value - swept) >= SAME_READING:
         why = f"(3.32) at the preset, without (3.33): {swept:.3g} with it, measured {measured.value:.3g}"
-        preset = row(f"pd_predicted_preset@{scientific(pfa)}", value, ends, reason=why)
+        preset = row(f"pd_predicted_preset@{short_label(pfa)}", value, ends, reason=why)
         yield preset
-        *_, difference = of_sides("pd_{}".format, preset, measured)
-        yield _inside_row(f"pd_inside_interval_preset@{scientific(pfa)}", difference, measured, why)
+        *_, difference = with_difference("pd_{}".format, preset, measured)
+        yield _inside_row(f"pd_inside_interval_preset@{short_label(pfa)}", difference, measured, why)

@@ -67,7 +67,7 @@ class Gate(Model):
     reason: str = Field(min_length=1, description="why the range, or why it is informational")
 
     @model_validator(mode="after")
-    def _can_fail(self) -> Gate:
+    def _check_can_fail(self) -> Gate:
         """Refuse gates without a limit, and limits that no value can break."""
         try:
             self._refuse_slips()
@@ -115,20 +115,20 @@ class Gate(Model):
         """Whether its rows decide."""
         return Role.GATE if self.gate else Role.INFORM
 
-    def unmade(self, subject: str, outcome: Outcome, cause: Cause, reason: str) -> Result:
+    def row_for(self, subject: str, outcome: Outcome, cause: Cause, reason: str) -> Result:
         """The row of a planned comparison that was not made."""
         names = "", self.product, subject, self.method, self.metric
         return Result(*names, outcome=outcome, role=self.role, cause=cause, reason=reason)
 
-    def covers(self, row: Result) -> bool:
+    def matches(self, row: Result) -> bool:
         """True for the rows this gate is about, and for skipped comparisons that would have held them.
 
         >>> row = Result("", "roc", "lawn", "cem/pixel", "pd_difference@1e-2")
-        >>> def covers(metric, *subjects):
-        ...     return Gate(product="roc", metric=metric, subjects=subjects, within=(-0.1, 0.1), reason="r").covers(row)
-        >>> [covers(f"pd_difference{point}", "*") for point in ("", "@1e-2", "@1e-1")]
+        >>> def matches(metric, *names):
+        ...     return Gate(product="roc", metric=metric, subjects=names, within=(-0.1, 0.1), reason="r").matches(row)
+        >>> [matches(f"pd_difference{point}", "*") for point in ("", "@1e-2", "@1e-1")]
         [True, True, False]
-        >>> covers("pd_difference", "court*"), covers("pd_difference", "court*", "la*")
+        >>> matches("pd_difference", "court*"), matches("pd_difference", "court*", "la*")
         (False, True)
         """
         if row.product != self.product or not fnmatchcase(row.method, self.method):
@@ -147,7 +147,7 @@ _NOT_THERE = (Cause.NO_PREDICTION, Cause.NO_OBSERVATION, Cause.NO_BANDS)
 Judgement = tuple[Outcome, Cause]
 
 
-def judged(rows: Iterable[Result], gates: Sequence[Gate]) -> list[Result]:
+def judge_rows(rows: Iterable[Result], gates: Sequence[Gate]) -> list[Result]:
     """The rows with every planned comparison judged.
 
     Call it once, on all rows of a campaign: the levels of its tests are shared out among them.  A row that several
@@ -157,23 +157,23 @@ def judged(rows: Iterable[Result], gates: Sequence[Gate]) -> list[Result]:
 
     >>> rows = [Result("", "radiance", "lawn", "", "p_value_full", 1e-9)]
     >>> together = Gate(product="radiance", metric="p_value_full", at_least=0.01, fraction_at_least=0.5, reason="r")
-    >>> [str(judged(rows, gates)[0].outcome) for gates in ([], [together])]  # by its usual level, or all rows together
+    >>> [str(judge_rows(rows, gates)[0].outcome) for gates in ([], [together])]  # usual level, or all rows together
     ['disagrees', 'none']
     """
     rows = list(rows)
-    covering = [[gate for gate in gates if gate.covers(row)] for row in rows]
+    covering = [[gate for gate in gates if gate.matches(row)] for row in rows]
     out: list[Result] = []
     for row, about in zip(rows, covering, strict=True):
-        alone = [_by_gate(row, gate) for gate in about if gate.fraction_at_least is None]
-        out += alone or [row if about else _by_usual_range(row)]
+        alone = [_judge_by_gate(row, gate) for gate in about if gate.fraction_at_least is None]
+        out += alone or [row if about else _judge_by_usual_range(row)]
     for gate in gates:
         covered = [row for row, about in zip(rows, covering, strict=True) if any(g is gate for g in about)]
-        out += _unmet(rows, {row.subject for row in covered}, gate)
-        out += _pooled(covered, gate)
-    return shared_levels(out)
+        out += _unmatched_rows(rows, {row.subject for row in covered}, gate)
+        out += _pooled_row(covered, gate)
+    return share_levels(out)
 
 
-def marked_as_fitted(
+def mark_fitted(
     rows: Sequence[Result], fitted_on: Sequence[str], pools: Mapping[str, Sequence[str]] = {}
 ) -> list[Result]:
     """The rows with whether budget and settings were fitted on their subjects: names, or patterns with * and ?.
@@ -187,7 +187,7 @@ def marked_as_fitted(
     Examples
     --------
     >>> rows = [Result("c", "roc", name, "cem/object", "pd_difference@1e-2") for name in ("a", "b", "both")]
-    >>> [row.subjects_seen for row in marked_as_fitted(rows, ["a"], {"both": ["a", "b"]})]
+    >>> [row.subjects_seen for row in mark_fitted(rows, ["a"], {"both": ["a", "b"]})]
     ['fitted', 'unseen', 'fitted']
     """
     subjects = dict.fromkeys(row.subject for row in rows)
@@ -203,7 +203,7 @@ def marked_as_fitted(
     return [replace(row, subjects_seen=kinds[row.subject]) for row in rows] if fitted_on else list(rows)
 
 
-def against_range(lower: float, upper: float, low: float, high: float) -> Outcome:
+def compare_with_range(lower: float, upper: float, low: float, high: float) -> Outcome:
     """An interval inside a range agrees, outside of it disagrees, else the comparison is undecided."""
     if low <= lower and upper <= high:
         return Outcome.AGREES
@@ -226,7 +226,7 @@ def outcome_of(row: Result, low: float, high: float) -> Judgement:
     if row.lower > row.upper or row.value < row.lower - slack or row.value > row.upper + slack:
         return Outcome.ERROR, Cause.BAD_INTERVAL
     if metric.kind is Kind.TEST:
-        return _of_test(row, low)
+        return _test_outcome(row, low)
     if metric.is_bare:
         return Outcome.UNDECIDED, Cause.NOT_JUDGED if metric.kind is Kind.STATISTIC else Cause.NO_INTERVAL
     if metric.kind is Kind.EQUIVALENCE:
@@ -235,7 +235,7 @@ def outcome_of(row: Result, low: float, high: float) -> Judgement:
     ends = (row.lower, row.upper) if metric.kind is Kind.QUANTITY else (row.value, row.value)
     if any(map(math.isnan, ends)):
         return Outcome.UNDECIDED, Cause.NO_INTERVAL
-    outcome = against_range(*ends, low, high)
+    outcome = compare_with_range(*ends, low, high)
     if metric.kind is Kind.COVERAGE and outcome is Outcome.AGREES:
         return Outcome.UNDECIDED, Cause.COVERAGE
     if outcome is not Outcome.UNDECIDED:
@@ -273,7 +273,7 @@ def tail_probability(row: Result) -> float:
     return 2.0 * float(law.sf(law.isf(0.025) * abs(value - equal) / abs(end - value)))
 
 
-def _of_test(row: Result, level: float) -> Judgement:
+def _test_outcome(row: Result, level: float) -> Judgement:
     metric = metric_of(row.metric)
     if tail_probability(row) < level:
         return Outcome.DISAGREES, Cause.TOO_WIDE if metric.two_sided and row.value > 0.5 else Cause.NONE
@@ -282,7 +282,7 @@ def _of_test(row: Result, level: float) -> Judgement:
     return Outcome.AGREES, Cause.NONE
 
 
-def shared_levels(rows: Sequence[Result]) -> list[Result]:
+def share_levels(rows: Sequence[Result]) -> list[Result]:
     """The rows told as effects, with the levels of tests of one role and of intervals of criteria shared out (Holm).
 
     Of m tests at level a, the k-th smallest p-value is compared with a/(m - k + 1), and once one is not below, the
@@ -308,12 +308,12 @@ def shared_levels(rows: Sequence[Result]) -> list[Result]:
             kept = kept or tail_probability(out[i]) >= part
             shares[i] = share
             if kept and out[i].outcome is Outcome.DISAGREES:
-                why = _joined(f"its share of the level is {part:.2g}, among {len(order)} criteria", out[i].reason)
+                why = _join_words(f"its share of the level is {part:.2g}, among {len(order)} criteria", out[i].reason)
                 out[i] = replace(out[i], outcome=Outcome.UNDECIDED, cause=Cause.MULTIPLICITY, reason=why)
-    return [told_as_effect(row, shares.get(i, math.nan)) for i, row in enumerate(out)]
+    return [with_effect(row, shares.get(i, math.nan)) for i, row in enumerate(out)]
 
 
-def detectable_sides(row: Result, low: float, high: float) -> tuple[float, float]:
+def detectable_departures(row: Result, low: float, high: float) -> tuple[float, float]:
     """Smallest departures from agreement, below and above it, whose interval would lie outside the range.
 
     With 80 % probability: of a value that agrees at a (0 of a difference, 1 of a ratio) with an interval of half
@@ -336,8 +336,8 @@ def detectable_sides(row: Result, low: float, high: float) -> tuple[float, float
     )
 
 
-def told_as_effect(row: Result, level: float = math.nan) -> Result:
-    """A row with an outcome, told in units of the field: its effect, the range and the detectable sizes.
+def with_effect(row: Result, level: float = math.nan) -> Result:
+    """A row with an outcome in units of the field: its effect, the range and the detectable sizes.
 
     The range of a test is what chance alone stays in at its level, so that its size itself stands against the range
     where it disagrees; it agrees only where the whole interval of that size, if that is of the same law, lies in it.
@@ -350,7 +350,7 @@ def told_as_effect(row: Result, level: float = math.nan) -> Result:
     row = replace(row, about=None, p_value=row.value if metric.kind is Kind.TEST else math.nan)
     if unit is None or not row.planned or math.isnan(row.value):
         return row
-    about = about or (_of_quantity(row) if metric.kind is Kind.QUANTITY else None)
+    about = about or (_quantity_effect(row) if metric.kind is Kind.QUANTITY else None)
     if about is None:
         return row
     tested = metric.kind is not Kind.TEST or math.isfinite(level)
@@ -367,10 +367,10 @@ def told_as_effect(row: Result, level: float = math.nan) -> Result:
     )  # fmt: skip
 
 
-def _of_quantity(row: Result) -> Effect:
+def _quantity_effect(row: Result) -> Effect:
     """A quantity as its own effect, which the range of its row has decided already."""
     metric, limits = metric_of(row.metric), (row.limit_low, row.limit_high)
-    below, above = detectable_sides(row, *limits)
+    below, above = detectable_departures(row, *limits)
     below = math.nan if metric.agreement - below < metric.low else metric.agreement - below  # no value is that small
     return Effect(row.value, row.lower, row.upper, lambda _: limits, (below, metric.agreement + above), decides=False)
 
@@ -391,52 +391,52 @@ def detectable_share(n: int, least: float) -> float:
     return 1.0 - float(scipy.stats.beta.ppf(0.2, count, n - count + 1))
 
 
-def _by_gate(row: Result, gate: Gate) -> Result:
-    out = _concluded(replace(row, role=gate.role, set_after=gate.chosen_after), gate.limits, gate.reason)
+def _judge_by_gate(row: Result, gate: Gate) -> Result:
+    out = _with_outcome(replace(row, role=gate.role, set_after=gate.chosen_after), gate.limits, gate.reason)
     lost = gate.gate and out.outcome is Outcome.SKIPPED and out.cause in _NOT_THERE
     return replace(out, outcome=Outcome.ERROR) if lost else out
 
 
-def _concluded(row: Result, limits: tuple[float, float], *reasons: str) -> Result:
+def _with_outcome(row: Result, limits: tuple[float, float], *reasons: str) -> Result:
     """The row with its outcome by a range; of a test ``detectable`` is the departure that it was asked about."""
     (outcome, cause), metric = outcome_of(row, *limits), metric_of(row.metric)
     words = said("concluded", row=row, cause=cause.name, departure=metric.departure)
     low, high = (limit if math.isfinite(limit) else math.nan for limit in limits)
-    found = row.detectable if metric.kind is Kind.TEST else float(np.fmin(*detectable_sides(row, *limits)))
+    found = row.detectable if metric.kind is Kind.TEST else float(np.fmin(*detectable_departures(row, *limits)))
     return replace(
         row, outcome=outcome, cause=cause, limit_low=low, limit_high=high, detectable=found,
-        reason=_joined(words, row.reason, *reasons),
+        reason=_join_words(words, row.reason, *reasons),
     )  # fmt: skip
 
 
-def _by_usual_range(row: Result) -> Result:
+def _judge_by_usual_range(row: Result) -> Result:
     """A row that no campaign plans: judged by the usual range of its metric, where it has one and a value."""
     usual = metric_of(row.metric).usual
     if row.outcome in (Outcome.SKIPPED, Outcome.ERROR):
         return replace(row, outcome=Outcome.NONE, reason=f"not compared: {row.reason}")
     if usual is None or math.isnan(row.value):
         return row
-    return _concluded(row, usual)
+    return _with_outcome(row, usual)
 
 
-def _unmet(rows: Sequence[Result], met: Collection[str], gate: Gate) -> Iterator[Result]:
+def _unmatched_rows(rows: Sequence[Result], met: Collection[str], gate: Gate) -> Iterator[Result]:
     """An ERROR row for every subject pattern of a gate that none of the subjects is of which it covers rows."""
     for pattern in gate.subjects:
         if not any(fnmatchcase(subject, pattern) for subject in met):
-            why = said("absent.planned", gate=gate, pattern=pattern, **_nearest(rows, gate))
-            yield gate.unmade(pattern, Outcome.ERROR, Cause.ABSENT, why)
+            why = said("absent.planned", gate=gate, pattern=pattern, **_near_names(rows, gate))
+            yield gate.row_for(pattern, Outcome.ERROR, Cause.ABSENT, why)
 
 
-def _nearest(rows: Sequence[Result], gate: Gate) -> dict[str, list[str]]:
+def _near_names(rows: Sequence[Result], gate: Gate) -> dict[str, list[str]]:
     """What comes near to what a gate names: subjects with that metric, else metrics of that name."""
     same = [row for row in rows if row.product == gate.product and row.metric != COMPARISON]
     anywhere = gate.model_copy(update={"subjects": ("*",), "method": "*", "bands_nm": None})
-    near = list(dict.fromkeys(f"{r.subject!r} ({r.method})" for r in same if anywhere.covers(r)))
+    near = list(dict.fromkeys(f"{r.subject!r} ({r.method})" for r in same if anywhere.matches(r)))
     return {"near": near, "close": nearest(gate.metric, sorted({row.metric for row in same}))}
 
 
-def _pooled(matched: Sequence[Result], gate: Gate) -> list[Result]:
-    """The row of a pooled gate of the rows it covers; none where there are none, as :func:`_unmet` reports that.
+def _pooled_row(matched: Sequence[Result], gate: Gate) -> list[Result]:
+    """The row of a pooled gate of the rows it covers; none without any, as :func:`_unmatched_rows` reports that.
 
     Inconclusive rows widen the interval: they count as not met at its lower end, as met at its upper end.
     """
@@ -453,11 +453,11 @@ def _pooled(matched: Sequence[Result], gate: Gate) -> list[Result]:
     names = "", gate.product, ", ".join(gate.subjects), gate.method, f"{gate.metric}_fraction"
     more: dict[str, Any] = {"evidence": metric_of(gate.metric).evidence, "set_after": gate.chosen_after, "reason": what}
     row, least = Result(*names, good / n, lower=lower, upper=upper, n=n, role=gate.role, **more), gate.fraction_at_least
-    out = _concluded(row, (least, math.inf), gate.reason)
+    out = _with_outcome(row, (least, math.inf), gate.reason)
     if out.outcome is Outcome.UNDECIDED and float(clopper_pearson(n, n)[0]) < least:
         out = replace(out, cause=Cause.NEVER)
     return [replace(out, detectable=detectable_share(n, least))]
 
 
-def _joined(*parts: str) -> str:
+def _join_words(*parts: str) -> str:
     return "; ".join(dict.fromkeys(p for p in parts if p))

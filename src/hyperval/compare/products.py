@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hyperval.compare import covariance, detection, spectra
-from hyperval.compare.rows import named, row, said, scientific, skipped, without
+from hyperval.compare.rows import named, row, said, short_label, skip_as, skip_rows
 from hyperval.errors import refuse
 from hyperval.model.intervals import Z95
 from hyperval.pixels import ANOMALY_LEVELS, LEAST_EXPECTED_ALARMS, nearest_point
@@ -51,7 +51,7 @@ def product_rows(products: Products, side: str) -> Iterator[Result]:
     for key, score in products.scores.items():
         yield from named([row(metric, getattr(score, metric), n=score.n) for metric in ("mean", "sd")], "scores", *key)
     for (subject, detector, counted), curve in products.roc.items():
-        yield from named(_of_curve(curve), "roc", subject, f"{detector}/{counted}")
+        yield from named(_curve_rows(curve), "roc", subject, f"{detector}/{counted}")
     for (subject, detector), exceedance in products.exceedance.items():
         if subject == ANOMALIES and exceedance.n is not None:  # detectors without a target spectrum
             yield from named(_thresholds(exceedance, exceedance.n), "scores", subject, detector)
@@ -70,10 +70,10 @@ def _thresholds(curve: ExceedanceCurve, n: int) -> Iterator[Result]:
         if level * n >= LEAST_EXPECTED_ALARMS:
             k = nearest_point(curve, level)
             why = f"{curve.probability[k]:.3g} of {n} background pixels lie above"
-            yield row(f"anomaly_threshold@{scientific(level)}", curve.threshold[k], n=n, reason=why)
+            yield row(f"anomaly_threshold@{short_label(level)}", curve.threshold[k], n=n, reason=why)
 
 
-def _of_curve(curve: RocCurve) -> Iterator[Result]:
+def _curve_rows(curve: RocCurve) -> Iterator[Result]:
     """P_D at decades of P_FA and areas of a curve; of a measured one its false alarms per km2 and joint regions too."""
     for decade in range(-9, 0):
         k = int(np.argmin(np.abs(np.log10(curve.pfa) - decade)))
@@ -128,7 +128,7 @@ def compare_products(
 
     def rows_of(compare: Callable[..., Iterable[Result]], field: str, **options: Any) -> Iterator[Result]:
         """Rows of every key of one field: a subject, or a subject with a method and the unit that it counts."""
-        for key, p, o in _pairs(getattr(predicted, field), getattr(observed, field)):
+        for key, p, o in _paired(getattr(predicted, field), getattr(observed, field)):
             subject, name = (key, method) if isinstance(key, str) else (key[0], "/".join(key[1:]))
             part = 1.0
             if field == "snr" and o is not None:
@@ -138,7 +138,7 @@ def compare_products(
                 o = replace(o, error_covariance=o.error_covariance + np.outer(taken, taken))
             rows = compare(p, o, **options) if p is not None and o is not None else absent(field, subject, p, o)
             textured = part < spectra.LEAST_OF_NOISE
-            yield from named(without("texture.snr", part=part) if textured else rows, field, subject, name)
+            yield from named(skip_as("texture.snr", part=part) if textured else rows, field, subject, name)
 
     def absent(product: str, subject: str, p: Any, o: Any) -> list[Result]:
         """The row of what a side lacks; for a curve with the detectors, else the subjects, that this side has."""
@@ -147,20 +147,20 @@ def compare_products(
         subjects = list(dict.fromkeys(repr(s) for s, *_ in curves))
         sides = {"missing": [n for n, side in (("prediction", p), ("observation", o)) if side is None]}
         why = said("absent", product=product, subject=subject, detectors=detectors, others=subjects, **sides)
-        return skipped(Cause.NO_PREDICTION if p is None else Cause.NO_OBSERVATION, why)
+        return skip_rows(Cause.NO_PREDICTION if p is None else Cause.NO_OBSERVATION, why)
 
     rows: list[Result] = []
     for product in SPECTRA:
         rows += rows_of(spectra.compare_spectra, product, product=product, axis=axis)
-    for subject, side in spectra.groups(observed, fitted_on).items():
+    for subject, side in spectra.subject_groups(observed, fitted_on).items():
         rows += named(spectra.compare_jointly(predicted, side), "radiance", subject, method)
     shown = "radiance" if observed.radiance else "reflectance"
     rows += named(spectra.shifted_rows(predicted, observed), shown, spectra.ALL_SUBJECTS, method)
     for quantity in SPREAD:
-        for subject, *_ in _pairs(getattr(predicted, quantity), getattr(observed, quantity)):
+        for subject, *_ in _paired(getattr(predicted, quantity), getattr(observed, quantity)):
             spread = covariance.compare_covariance(predicted, observed, subject, quantity)
             rows += named(spread, "covariance", subject, quantity)
-    for subject, p, o in _pairs(predicted.distribution, observed.distribution):
+    for subject, p, o in _paired(predicted.distribution, observed.distribution):
         rows += named(covariance.compare_distribution(p, o), "covariance", subject, "pixels")
     rows += rows_of(detection.compare_classification, "classification")
     rows += rows_of(detection.compare_scores, "scores")
@@ -176,7 +176,7 @@ def compare_products(
     return [*rows, *detection.compare_area_errors(predicted.abundance, observed.abundance)]
 
 
-def _pairs(predicted: Mapping[Any, Any], measured: Mapping[Any, Any]) -> Iterator[tuple[Any, Any, Any]]:
+def _paired(predicted: Mapping[Any, Any], measured: Mapping[Any, Any]) -> Iterator[tuple[Any, Any, Any]]:
     """What either side has under each key, those of the observation first and in its order."""
     for key in dict.fromkeys([*measured, *predicted]):
         yield key, predicted.get(key), measured.get(key)

@@ -33,7 +33,7 @@ def row(metric: str, value: float, ends: Sequence[float] | None = None, half: fl
     return Result("", "", "", "", metric, float(value), lower=float(low), upper=float(high), **more)
 
 
-def skipped(cause: Cause, reason: str, *metrics: str) -> list[Result]:
+def skip_rows(cause: Cause, reason: str, *metrics: str) -> list[Result]:
     """Planned rows that have no value, with the cause and words; without metrics the whole comparison."""
     names = metrics or (COMPARISON,)
     return [Result("", "", "", "", name, outcome=Outcome.SKIPPED, cause=cause, reason=reason) for name in names]
@@ -49,12 +49,12 @@ def said(name: str, /, **values: Any) -> str:
     return worded("compare/words.yaml", name)(**values)
 
 
-def without(name: str, /, *metrics: str, **values: Any) -> list[Result]:
-    """Rows :func:`skipped` for a cause and in words: those of a name in ``words.yaml`` that begins with the cause."""
-    return skipped(Cause[name.partition(".")[0].upper()], said(name, **values), *metrics)
+def skip_as(name: str, /, *metrics: str, **values: Any) -> list[Result]:
+    """Rows :func:`skip_rows` for a cause and in words: those of a name in ``words.yaml`` that begins with the cause."""
+    return skip_rows(Cause[name.partition(".")[0].upper()], said(name, **values), *metrics)
 
 
-def of_sides(name: Callable[[str], str], predicted: Result | None, measured: Result | None) -> list[Result]:
+def with_difference(name: Callable[[str], str], predicted: Result | None, measured: Result | None) -> list[Result]:
     """Rows of the sides there are and, of both, of predicted less measured, whose ``name`` is that of "difference".
 
     That one is SKIPPED where a side is, with the words of the measured one first.
@@ -74,12 +74,12 @@ def named(rows: Iterable[Result], product: str, subject: str, method: str) -> It
     return (replace(item, product=product, subject=subject, method=method) for item in rows)
 
 
-def scientific(value: float) -> str:
+def short_label(value: float) -> str:
     """A short label of a probability: 0.01 is 1e-2.
 
     Examples
     --------
-    >>> scientific(0.01), scientific(2.5e-4)
+    >>> short_label(0.01), short_label(2.5e-4)
     ('1e-2', '2.5e-4')
     """
     exponent = math.floor(math.log10(value) + 1e-9)

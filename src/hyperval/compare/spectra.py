@@ -30,7 +30,7 @@ import numpy.typing as npt
 import scipy
 
 from hyperval import pixels
-from hyperval.compare.rows import Interval, row, said, skipped, without
+from hyperval.compare.rows import Interval, row, said, skip_as, skip_rows
 from hyperval.data import Array, Index, Mask
 from hyperval.errors import refuse
 from hyperval.metrics import Kind, metric_of
@@ -65,7 +65,7 @@ def regions(axis: SpectralAxis) -> Mapping[str, Mask]:
     return {"windows": window, **parts, "absorption": dark}
 
 
-def half_of_mean(covariance: Array) -> float:
+def mean_half_width(covariance: Array) -> float:
     """Half of the 95 % interval of an unweighted mean over bands; NaN without any."""
     return Z95 * math.sqrt(max(float(np.sum(covariance)), 0.0)) / (len(covariance) or math.nan)
 
@@ -109,15 +109,15 @@ def summary_intervals(ratio: Array, covariance: Array) -> tuple[Interval, Interv
     normal = np.random.default_rng(_SEED).standard_normal((values.size, _DRAWS))
     drawn = (vectors * np.sqrt(np.clip(values, 0.0, None))) @ (vectors.T @ normal)
     centre, more = float(np.median(ratio)), np.median(ratio[:, None] - drawn, axis=0).var() - drawn.mean(axis=0).var()
-    half = math.hypot(half_of_mean(covariance), Z95 * math.sqrt(max(more, 0.0)))
-    value = _sizes(ratio[:, None])[:, 0]
-    high, alone = (np.quantile(_sizes(x), 0.975, axis=1) for x in (drawn - ratio[:, None], drawn))
+    half = math.hypot(mean_half_width(covariance), Z95 * math.sqrt(max(more, 0.0)))
+    value = _median_and_maximum(ratio[:, None])[:, 0]
+    high, alone = (np.quantile(_median_and_maximum(x), 0.975, axis=1) for x in (drawn - ratio[:, None], drawn))
     high = np.maximum(high, value)
     (low, lowest), (high, highest) = np.maximum(value - np.maximum(high - value, alone), 0.0), high
     return (centre - half, centre + half), (float(low), float(high)), (float(lowest), float(highest))
 
 
-def _sizes(x: Array) -> Array:
+def _median_and_maximum(x: Array) -> Array:
     """(2, D) median and greatest |x| over bands of (B, D); one sort costs a quarter of the selection of a median."""
     ordered, bands = np.sort(np.abs(x), axis=0), len(x)
     return np.stack([(ordered[(bands - 1) // 2] + ordered[bands // 2]) / 2.0, ordered[-1]])
@@ -303,7 +303,7 @@ class Whitening:
     transform: Array
     covariance_dof: float
 
-    def of(self, vector: npt.ArrayLike) -> Array:
+    def whiten(self, vector: npt.ArrayLike) -> Array:
         """(K, ...) of a vector (B,) or of vectors in columns; UsageError where a value is not finite."""
         x = np.asarray(vector, dtype=float)
         refuse(not np.all(np.isfinite(x)), "compare.finite")
@@ -322,7 +322,7 @@ def chi_square_full(difference: npt.ArrayLike, tested: Whitening) -> ChiSquare:
 
     ``tested`` : what :func:`whitening` makes of C, once for several tests
     """
-    r = tested.of(difference)
+    r = tested.whiten(difference)
     return ChiSquare(float(r @ r), int(r.size), tested.covariance_dof)
 
 
@@ -350,7 +350,7 @@ def whitening(covariance: npt.ArrayLike, estimated: Sequence[EstimatedPart] = ()
     if nu < DOF_PER_DIRECTION * whiten.shape[1]:
         samples = [(m, p.dof) if p.sample is None else (p.sample, p.sample_dof) for p, m in parts]
         bands = np.ix_(kept, kept)
-        smooth, nu = _smooth(fixed[bands], [(s[bands], v) for s, v in samples])
+        smooth, nu = _smooth_basis(fixed[bands], [(s[bands], v) for s, v in samples])
         whiten = np.zeros((kept.size, smooth.shape[1]))
         whiten[kept] = smooth
     else:
@@ -372,7 +372,7 @@ def _with_factors(part: EstimatedPart, model: Array, whiten: Array) -> tuple[Arr
     return c, part.sample_dof * float((np.sum(c * c.T) + np.trace(c) ** 2) / scatter)
 
 
-def _smooth(fixed: Array, samples: Sequence[tuple[Array, float]]) -> tuple[Array, float]:
+def _smooth_basis(fixed: Array, samples: Sequence[tuple[Array, float]]) -> tuple[Array, float]:
     """Cosines over the bands, each with half a wave more, as many as have three degrees of freedom each."""
     total = fixed + sum((s for s, _ in samples), np.zeros_like(fixed))
     scale = np.sqrt(np.diag(total))
@@ -398,7 +398,7 @@ def chi_square_shape(difference: npt.ArrayLike, reference: npt.ArrayLike, tested
     r^T C^-1 r - (s/sd)^2 with s = c^T C^-1 r/(c^T C^-1 c) and sd = (c^T C^-1 c)^-1/2, in the directions of
     :func:`chi_square_full`.
     """
-    r, c, nu = tested.of(difference), tested.of(reference), tested.covariance_dof
+    r, c, nu = tested.whiten(difference), tested.whiten(reference), tested.covariance_dof
     if (weight := float(c @ c)) <= 0.0:
         return ChiSquare(float(r @ r), int(r.size), nu)
     rest = r - float(c @ r) / weight * c
@@ -424,7 +424,7 @@ def detectable_tilts(reference: npt.ArrayLike, wavelength_nm: npt.ArrayLike, tes
     if span == 0.0:
         return math.nan, math.nan
     tilt = c * (2.0 * (w - w.min()) / span - 1.0)
-    whole, level, nu = tested.of(tilt), tested.of(c), tested.covariance_dof
+    whole, level, nu = tested.whiten(tilt), tested.whiten(c), tested.covariance_dof
     rest = whole - level * float(level @ whole) / max(float(level @ level), 1e-300)
     kept = whole.size
     true = 1.0 if math.isinf(nu) else max(nu - kept - 1.0, 0.0) / nu
@@ -534,7 +534,7 @@ def shifted_rows(predicted: Products, observed: Products) -> Iterator[Result]:
     spectra = dict(observed.radiance or observed.reflectance)
     for name, spectrum in predicted.reflectance.items() if not observed.radiance else ():
         edges = pixels.wavelength_shifts(spectrum.mean, predicted.axis, reflectance=True)
-        if any(s.certain and s.feature == pixels.RED_EDGE.name for s in edges):
+        if any(s.is_significant and s.feature == pixels.RED_EDGE.name for s in edges):
             spectra.pop(name, None)
     found = pixels.common_shifts((s.mean for s in spectra.values()), observed.axis, reflectance=not observed.radiance)
     for shift, count in found:
@@ -599,7 +599,7 @@ def compare_spectra(
     ``fraction_inside_stated_windows``.
     """
     if observed.circular:
-        yield from skipped(Cause.CIRCULAR, observed.circular)
+        yield from skip_rows(Cause.CIRCULAR, observed.circular)
         return
     usable, n = comparable_bands(predicted, observed, axis), observed.n
     ratio = difference_ratio(predicted.mean, observed.mean)
@@ -625,7 +625,7 @@ def compare_spectra(
     if window.any():
         yield from _consistency(predicted, observed, window, axis.centre_nm, ratio, covariance)
     else:
-        yield from without("no_bands.region", *_TESTS, "spectral_angle", region="windows")
+        yield from skip_as("no_bands.region", *_TESTS, "spectral_angle", region="windows")
     if product == "radiance":
         yield from wavelength_rows(predicted, observed, axis)
 
@@ -635,7 +635,7 @@ def fraction_inside_stated(difference: Array, stated: Array) -> float:
     return float(np.mean(np.abs(difference) <= STATED_COVERAGE * stated))
 
 
-def shares(predicted: SpectralEstimate, measured: SpectralEstimate, bands: Mask) -> list[tuple[str, float]]:
+def variance_shares(predicted: SpectralEstimate, measured: SpectralEstimate, bands: Mask) -> list[tuple[str, float]]:
     """Sources of both sides with their parts of the variance of the mean difference ratio, the largest first."""
     p, o = predicted.mean[bands], measured.mean[bands]
     found: dict[str, float] = {}
@@ -664,7 +664,7 @@ def _summary(name: str, ratio: Array, covariance: Array, bands: Mask) -> Iterato
     names, use = [f"{metric}_{name}" for metric in _SUMMARIES], bands & np.isfinite(ratio)
     lost = {"lost": int(np.sum(bands & ~use)), "count": int(bands.sum())}
     if lost["lost"] > MOST_WITHOUT_RATIO * lost["count"] or not use.any():
-        yield from without("no_bands.positive" if use.any() else "no_bands.region", *names, region=name, **lost)
+        yield from skip_as("no_bands.positive" if use.any() else "no_bands.region", *names, region=name, **lost)
         return
     why, r, spread = said("no_bands.positive", **lost) if lost["lost"] else "", ratio[use], covariance[np.ix_(use, use)]
     values, intervals = (np.median(r), np.median(np.abs(r)), np.max(np.abs(r))), summary_intervals(r, spread)
@@ -689,20 +689,20 @@ def _consistency(
     p, o = predicted.mean[window], observed.mean[window]
     r, cov = p - o, (predicted.error_covariance + observed.error_covariance)[block]
     if not np.all(np.diag(cov) > (NUMERICAL * o) ** 2):
-        yield from without("no_uncertainty.bands", *_TESTS)
+        yield from skip_as("no_uncertainty.bands", *_TESTS)
     elif np.max(np.abs(r)) <= ROUNDING * np.max(np.abs(o)):  # as of a panel on an empirical line of two panels
-        yield from without("circular.equal", *_TESTS)
+        yield from skip_as("circular.equal", *_TESTS)
     else:
         tested = whitening(cov, [e.of_each(lambda c: c[block]) for e in (*predicted.estimated, *observed.estimated)])
         tilts, full = detectable_tilts(o, centre_nm[window], tested), chi_square_full(r, tested)
         # A mixed pixel whose host varies by more than the signal of the target tests the host.
-        largest = [(name, 100.0 * part) for name, part in shares(predicted, observed, window) if part > 0.5]
+        largest = [(name, 100.0 * part) for name, part in variance_shares(predicted, observed, window) if part > 0.5]
         why = said("test", test=full, count=count, largest=largest).removesuffix("; ")
         yield from _test_rows("diagonal", chi_square_diagonal(r, cov))
         yield from _test_rows("full", full, tilts[0], why)
         # A mean weighted by the inverse covariance may lie outside all data where shapes differ (Chiba & Smith 1991).
         use = np.flatnonzero(window & np.isfinite(ratio))
-        bias, half = float(ratio[use].sum()) / (use.size or math.nan), half_of_mean(errors[np.ix_(use, use)])
+        bias, half = float(ratio[use].sum()) / (use.size or math.nan), mean_half_width(errors[np.ix_(use, use)])
         yield row("bias_ratio", bias, half=half, n=use.size)
         yield from _test_rows("shape", chi_square_shape(r, o, tested), tilts[1])
         fraction, limits = share_inside(r, cov)
@@ -734,7 +734,7 @@ UNSTATED_NM = (1.0, 30.0, 100.0, 300.0)  # how far they are correlated: not at a
 _LEAST_LEFT = 0.1  # hardly anybody knows an input ten times better
 
 
-class InCommon(NamedTuple):
+class CommonDifference(NamedTuple):
     """What subjects have in common, with what no source states averaged over.
 
     Attributes
@@ -778,11 +778,11 @@ class JointDifference:
         return np.asarray(sum(self.sources.values()))
 
     @cached_property
-    def of_piece(self) -> Array:
+    def piece_indicator(self) -> Array:
         """(N, Q) 1 where a difference is of a piece, in the order of their numbers."""
         return np.asarray(self.piece[:, None] == np.unique(self.piece), dtype=float)
 
-    def in_common(self, columns: Array) -> InCommon:
+    def common_difference(self, columns: Array) -> CommonDifference:
         """Coefficients of ``columns`` (N, k) that all subjects share."""
         fits, middle = [], np.mean(PIECES_NM, axis=1)[self.piece]
         spacing = np.where(self.subject[:, None] == self.subject, np.abs(middle[:, None] - middle), np.inf)
@@ -803,9 +803,9 @@ class JointDifference:
         value = share @ values
         spread = np.tensordot(share, covariances, 1) + np.einsum("t,ti,tj->ij", share, values - value, values - value)
         limits = np.interp([0.5, 0.025, 0.975], np.cumsum(share) - 0.5 * share, sizes)
-        return InCommon(value, spread, np.tensordot(share, weights, 1), share @ errors, limits)
+        return CommonDifference(value, spread, np.tensordot(share, weights, 1), share @ errors, limits)
 
-    def budget(self, found: InCommon, combined: Array) -> dict[str, float]:
+    def budget(self, found: CommonDifference, combined: Array) -> dict[str, float]:
         """Standard uncertainty by source of a combination (k,) of what subjects have in common."""
         weights = combined @ found.weights
         parts = {name: float(weights @ c @ weights) for name, c in self.sources.items()}
@@ -857,18 +857,18 @@ def joint_pieces(predicted: Products, observed: Products) -> JointDifference | N
     return joint_difference(pairs, use) if use.any() else None
 
 
-def _regions(joint: JointDifference) -> Iterator[tuple[str, Array, Array]]:
+def _joint_regions(joint: JointDifference) -> Iterator[tuple[str, Array, Array]]:
     """Of each region its name, the combination of pieces (Q,) that is its mean, and those (S, N) of each subject."""
     ends = np.array(PIECES_NM)[joint.piece]
     for low, high in REGIONS_NM:
         bands = np.where((ends[:, 0] >= low) & (ends[:, 1] <= high), joint.bands, 0.0)
         if np.any(bands):
             each = bands * (joint.subject == np.unique(joint.subject[bands > 0.0])[:, None])
-            pieces = bands @ joint.of_piece
+            pieces = bands @ joint.piece_indicator
             yield f"{low}-{high}", pieces / pieces.sum(), each / each.sum(axis=1, keepdims=True)
 
 
-def _unexplained(covariance: Array, difference: Array, column: Array) -> float:
+def _residual_chi_square(covariance: Array, difference: Array, column: Array) -> float:
     """Chi-square of the differences that remains after the best multiple of a column."""
     c = covariance + UNSTATED_RATIOS[0] ** 2 * np.eye(column.size)
     both = np.stack([column, difference])
@@ -876,7 +876,7 @@ def _unexplained(covariance: Array, difference: Array, column: Array) -> float:
     return float(whole - mixed**2 / of_column)
 
 
-def groups(observed: Products, fitted_on: Sequence[str]) -> dict[str, Products]:
+def subject_groups(observed: Products, fitted_on: Sequence[str]) -> dict[str, Products]:
     """What is compared jointly: everything; and what budget and settings were not ``fitted_on``, where they were."""
     unseen = {s: m for s, m in observed.radiance.items() if not any(fnmatchcase(s, name) for name in fitted_on)}
     return {ALL_SUBJECTS: observed} | ({UNSEEN_SUBJECTS: replace(observed, radiance=unseen)} if fitted_on else {})
@@ -904,8 +904,8 @@ def compare_jointly(predicted: Products, observed: Products) -> list[Result]:
     joint = joint_pieces(predicted, observed)
     if joint is None:
         return []
-    found, rows = joint.in_common(joint.of_piece), list[Result]()
-    for label, pieces, mean in _regions(joint):
+    found, rows = joint.common_difference(joint.piece_indicator), list[Result]()
+    for label, pieces, mean in _joint_regions(joint):
         budget, d, n = joint.budget(found, pieces), mean @ joint.difference, len(mean)
         largest = {name: Z95 * x for name, x in sorted(budget.items(), key=lambda item: -item[1])[:3]}
         why = said("joint", least=np.expm1(d.min()), most=np.expm1(d.max()), largest=largest)
@@ -913,32 +913,32 @@ def compare_jointly(predicted: Products, observed: Products) -> list[Result]:
         number, *ends = np.expm1([value, value - half, value + half]).tolist()
         rows.append(row(f"joint_difference_ratio@{label}", number, ends, n=n, reason=why))
         levels = np.ones(n), mean @ joint.inverse_level
-        gain, offset = (_unexplained(mean @ joint.covariance @ mean.T, d, column) for column in levels)
+        gain, offset = (_residual_chi_square(mean @ joint.covariance @ mean.T, d, column) for column in levels)
         why = f"chi-square {gain:.3g} of {n - 1} as a gain, {offset:.3g} as an offset"
         rows.append(row(f"p_value_between@{label}", float(scipy.stats.chi2.sf(gain, n - 1)), n=n, reason=why))
     middle, *ends = found.unstated.tolist()
-    rows.append(row("unstated_difference_ratio", middle, ends, n=joint.difference.size, reason=_moved(joint, found)))
+    rows.append(row("unstated_difference_ratio", middle, ends, n=joint.difference.size, reason=_pulls(joint, found)))
     return [*rows, *_sensor_rows(joint, found)]
 
 
-def _moved(joint: JointDifference, found: InCommon) -> str:
-    """How far from what is stated the inputs are, those that are farthest first."""
+def _pulls(joint: JointDifference, found: CommonDifference) -> str:
+    """Departures of the inputs over their stated uncertainty, the greatest first."""
     sizes = {k: np.linalg.norm(c @ found.errors) / max(np.trace(c), 1e-300) ** 0.5 for k, c in joint.sources.items()}
     first = sorted(joint.sources.keys() - {CALIBRATION, REST}, key=lambda name: (-sizes[name], name))[:4]
     return "inputs in units of their stated uncertainty: " + ", ".join(f"{name} {sizes[name]:.1f}" for name in first)
 
 
-def _sensor_rows(joint: JointDifference, found: InCommon) -> Iterator[Result]:
+def _sensor_rows(joint: JointDifference, found: CommonDifference) -> Iterator[Result]:
     """Gain of the sensor by pieces, and gain and offset together where subjects are not equally bright.
 
     The stated calibration uncertainty is not part of their errors: they estimate the calibration error itself.
     """
-    count, numbers = joint.of_piece.sum(axis=0).astype(int), np.unique(joint.piece)
-    common = np.exp(joint.difference @ joint.of_piece / count)
-    by_level = joint.inverse_level[:, None] * joint.of_piece * common  # 1 / measured without its noise
+    count, numbers = joint.piece_indicator.sum(axis=0).astype(int), np.unique(joint.piece)
+    common = np.exp(joint.difference @ joint.piece_indicator / count)
+    by_level = joint.inverse_level[:, None] * joint.piece_indicator * common  # 1 / measured without its noise
     dark = np.where(by_level > 0.0, by_level, np.inf).min(axis=0)
     separable = np.flatnonzero(by_level.max(axis=0) * (1.0 - _LEAST_CONTRAST) > dark).tolist()
-    both = joint.in_common(np.hstack([joint.of_piece, -by_level[:, separable]]))
+    both = joint.common_difference(np.hstack([joint.piece_indicator, -by_level[:, separable]]))
     of_calibration = joint.sources.get(CALIBRATION, np.zeros(joint.covariance.shape))
     for name, fit, some in (("sensor_gain", found, range(count.size)), ("sensor_gain_beside_offset", both, separable)):
         halves = Z95 * np.sqrt(np.diag(fit.covariance - fit.weights @ of_calibration @ fit.weights.T))
@@ -979,8 +979,8 @@ def would_decide(item: Result, predicted: Products, observed: Products, fitted_o
     if metric.kind is Kind.TEST:
         words = f"every stated uncertainty {times:.2g} times smaller, to detect {metric.departure or 'its alternative'}"
         return words if times > 1 else ""
-    side = groups(observed, fitted_on).get(item.subject)
-    budget, subjects = _of_region(item, predicted, side) if side else (_of_level(item, predicted, observed), 1)
+    side = subject_groups(observed, fitted_on).get(item.subject)
+    budget, subjects = _region_budget(item, predicted, side) if side else (_level_budget(item, predicted, observed), 1)
     ways: list[Callable[[float], float]] = [float, *([math.log] if item.lower > 0.0 else [])]
 
     def uneven(way: Callable[[float], float]) -> float:
@@ -1002,29 +1002,29 @@ def would_decide(item: Result, predicted: Products, observed: Products, fitted_o
     same = [p for s, p in getattr(predicted, item.product).items() if side or s == item.subject]
     # Field spectra of several subjects have no one uncertainty.
     scales = {name: (e.size, e.unit) for p in same for name, e in p.errors.items() if not side or name != FIELD}
-    return deciding(budget, part, scales, subjects)
+    return decisive_reductions(budget, part, scales, subjects)
 
 
-def _of_region(item: Result, predicted: Products, observed: Products) -> tuple[dict[str, float], int]:
+def _region_budget(item: Result, predicted: Products, observed: Products) -> tuple[dict[str, float], int]:
     """Standard uncertainty by source of what subjects have in common in a region, and how many they are."""
     joint = joint_pieces(predicted, observed)
-    for label, pieces, means in _regions(joint) if joint else ():
+    for label, pieces, means in _joint_regions(joint) if joint else ():
         if joint and item.metric == f"joint_difference_ratio@{label}":
-            return joint.budget(joint.in_common(joint.of_piece), pieces), len(means)
+            return joint.budget(joint.common_difference(joint.piece_indicator), pieces), len(means)
     return {}, 1
 
 
-def _of_level(item: Result, predicted: Products, observed: Products) -> dict[str, float]:
+def _level_budget(item: Result, predicted: Products, observed: Products) -> dict[str, float]:
     """The same of the level of one spectrum, all of them together 1; none of any other row."""
     p, m = (getattr(side, item.product, {}).get(item.subject) for side in (predicted, observed))
     if not isinstance(p, SpectralEstimate) or not isinstance(m, SpectralEstimate):
         return {}
     parts, use = regions(observed.axis), comparable_bands(p, m, observed.axis) & (m.mean > 0)
     use &= parts.get(item.metric.rpartition("_")[2], parts["windows"])
-    return {name: math.sqrt(share) for name, share in shares(p, m, use)} if use.any() else {}
+    return {name: math.sqrt(share) for name, share in variance_shares(p, m, use)} if use.any() else {}
 
 
-def deciding(
+def decisive_reductions(
     budget: Mapping[str, float], fraction: float, scales: Mapping[str, tuple[float, str]], subjects: int = 1
 ) -> str:
     """What reduces a half width to a ``fraction`` of it: each source alone, the fewest largest, more subjects.
@@ -1036,9 +1036,9 @@ def deciding(
 
     Examples
     --------
-    >>> deciding({"aerosol": 0.03, "water": 0.01}, 0.5, {"aerosol": (0.02, ""), "water": (0.5, "g cm-2")})
+    >>> decisive_reductions({"aerosol": 0.03, "water": 0.01}, 0.5, {"aerosol": (0.02, ""), "water": (0.5, "g cm-2")})
     'aerosol known to 0.00816 (now 0.02)'
-    >>> deciding({"aerosol": 0.03, "water": 0.03}, 0.5, {"aerosol": (0.02, ""), "water": (0.5, "g cm-2")})
+    >>> decisive_reductions({"aerosol": 0.03, "water": 0.03}, 0.5, {"aerosol": (0.02, ""), "water": (0.5, "g cm-2")})
     'aerosol known to 0.01 (now 0.02) and water known to 0.25 g cm-2 (now 0.5)'
     """
     total = sum(x**2 for x in budget.values())

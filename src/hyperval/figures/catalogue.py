@@ -37,7 +37,7 @@ from hyperval.figures.spec import (
 )
 from hyperval.metrics import product_words
 from hyperval.model import Z95, clopper_pearson, detection_at, difference_ratio
-from hyperval.pixels import exceedance_of_distance
+from hyperval.pixels import distance_exceedance
 from hyperval.products import ClassificationError, Products, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.results import WORST_FIRST, Cause, Result, ResultTable, grouped
 from hyperval.run import ScoreMap
@@ -290,7 +290,7 @@ def tail_figure(sides: Sides) -> Figure | None:
         columns = {"x": distance, "y": law.exceedance, "low": low, "high": high}
 
         def curve(dof: float, scale: float = 1.0) -> dict[str, Array]:
-            return {"x": distance, "y": exceedance_of_distance(law.distance / scale, dimension, dof)}
+            return {"x": distance, "y": distance_exceedance(law.distance / scale, dimension, dof)}
 
         marks = [measured_mark("line", columns, "measured, with its 95 % interval")]
         marks += [] if stated is None else [predicted_mark("line", curve(stated.tail_dof), "predicted law")]

@@ -20,9 +20,9 @@ from hyperval.errors import UsageError, refusal, refuse
 from hyperval.model.fill import fills_of_objects
 from hyperval.model.filters import PositiveDefinite, fully_constrained, principal_components
 from hyperval.model.intervals import Z95, clopper_pearson, drawn_factor, student_factor
-from hyperval.model.radiance import cut
+from hyperval.model.radiance import submatrix
 from hyperval.model.stated import Origins, Truth, band_correlation
-from hyperval.model.world import World, read_world, settled, with_truths
+from hyperval.model.world import World, group_by_files, read_world, with_truths
 from hyperval.products import Abundance, ClassificationError, PixelDistribution, PredictedProducts
 from hyperval.scenario import Scenario, TargetSubject
 
@@ -340,7 +340,7 @@ def predicted_areas(
     """
     if scenario.atmosphere is not None:
         return {}
-    world = settled(with_truths(read_world(scenario, origins), [truth]))[0][1]
+    world = group_by_files(with_truths(read_world(scenario, origins), [truth]))[0][1]
     index = np.flatnonzero(unmixed.bands)
     populations = {(name, p.name): p for name, p in world.populations[0][0]}
     areas = {}
@@ -374,17 +374,17 @@ def _drawn_objects(
     """
     stated = world.stated
     target = next(t for t in stated.targets if t.name == item.scenario_target)
-    number = world.surface(target.name)
+    number = world.surface_number(target.name)
     moved = world.mean[0, number] - stated.mean[number]  # departure of the true reflectance from the endmember
     host = prediction.reflectance[target.host]
-    distribution = prediction.distribution.get(target.host, PixelDistribution())
-    law = ClassLaw(host.mean[index], _full_rank(cut(np.asarray(host.pixel_covariance), index)), distribution.tail_dof)
+    measured = prediction.distribution.get(target.host, PixelDistribution())
+    law = ClassLaw(host.mean[index], _full_rank(submatrix(np.asarray(host.pixel_covariance), index)), measured.tail_dof)
     laws = [
-        (part, ClassLaw((host.mean + offset)[index], _full_rank(cut(covariance, index)), dof))
-        for part, offset, covariance, dof in distribution.clusters
+        (part, ClassLaw((host.mean + offset)[index], _full_rank(submatrix(covariance, index)), dof))
+        for part, offset, covariance, dof in measured.clusters
     ]
     spectrum = item.spectrum[index]
-    spread = ClassLaw(np.zeros(index.size), _full_rank(cut(stated.surfaces[target.name].covariance, index)))
+    spread = ClassLaw(np.zeros(index.size), _full_rank(submatrix(stated.surfaces[target.name].covariance, index)))
     fills = fills_of_objects(population.fill)
     drawn = fills[rng.integers(fills.shape[0], size=draws)]
     f = np.nan_to_num(drawn)[..., None]
@@ -472,7 +472,7 @@ def predicted_classification(
                 if estimate.pixel_covariance is None or not np.all(np.diag(estimate.pixel_covariance)[bands] > 0):
                     raise UsageError(f"classification: the prediction of {name!r} has no spread in some band")
                 tail = prediction.distribution.get(name, PixelDistribution()).tail_dof
-                laws.append(ClassLaw(estimate.mean[bands], cut(estimate.pixel_covariance, bands), tail))
+                laws.append(ClassLaw(estimate.mean[bands], submatrix(estimate.pixel_covariance, bands), tail))
             psi = class_features(laws, choice.pca)
             rng = np.random.default_rng([seed, bands.size])
             counts = [] if trained is None else [trained[name] for name in chosen]

@@ -27,16 +27,16 @@ from hyperval.model.radiance import (
     Background,
     Material,
     Retrieved,
-    at_rows,
-    cut,
-    light_of,
-    of_truth,
-    retrieved,
+    retrieve,
+    scene_light,
+    select_rows,
+    submatrix,
     target_pixels,
+    truth_row,
     usable_bands,
 )
-from hyperval.model.stated import Cached, distinct
-from hyperval.model.world import World, settled
+from hyperval.model.stated import Cached, unique
+from hyperval.model.world import World, group_by_files
 from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, ScoreDistribution, background_of
 from hyperval.scenario import Scenario, TargetSubject
 from hyperval.spectra.axis import SpectralAxis
@@ -44,7 +44,7 @@ from hyperval.spectra.axis import SpectralAxis
 RocKey = tuple[str, str, str]
 
 
-def wide(values: Array, truths: int) -> Array:
+def tile(values: Array, truths: int) -> Array:
     """Values (U or 1, ...) with a row for each truth."""
     return np.broadcast_to(values, (truths, *values.shape[1:]))
 
@@ -79,13 +79,13 @@ def class_scores(view: Retrieved, filters: LinearFilter) -> tuple[Array, Array]:
     w, classes, laws = filters.weights, view.classes, view.classes.laws
     owner, truths = np.array([law.owner for law in laws]), len(filters.weights)
 
-    means = (np.einsum("uf,umf->um", w, wide(view.means, truths)) - filters.offset[:, None])[:, owner]  # (3.27)
-    variances = np.einsum("uf,umf->um", w**2, wide(view.noise, truths))[:, owner]
+    means = (np.einsum("uf,umf->um", w, tile(view.means, truths)) - filters.offset[:, None])[:, owner]  # (3.27)
+    variances = np.einsum("uf,umf->um", w**2, tile(view.noise, truths))[:, owner]
     surface_weights = (w * view.slope)[:, None, :]
     for j, law in enumerate(laws):
         gain, stretch = classes.gain[:, law.owner], classes.stretch[:, law.owner]
         variances[:, j] += gain * spread(surface_weights, law.covariance, stretch)[:, 0]
-        means[:, j] += np.sqrt(gain) * np.einsum("uf,uf->u", surface_weights[:, 0], wide(stretch * law.offset, truths))
+        means[:, j] += np.sqrt(gain) * np.einsum("uf,uf->u", surface_weights[:, 0], tile(stretch * law.offset, truths))
     variances += surroundings_variance(classes, w[:, None, :] * view.adjacency)[:, owner]
     return means, np.sqrt(np.maximum(variances, 0.0))  # (3.29)
 
@@ -95,7 +95,7 @@ FILL_NODES = np.linspace(0.0, 1.0, 9)
 
 
 @cache
-def _spline() -> scipy.interpolate.CubicSpline:
+def _fill_spline() -> scipy.interpolate.CubicSpline:
     """A quarter of a second, which spectra alone do not need."""
     return scipy.interpolate.CubicSpline(FILL_NODES, np.eye(FILL_NODES.size))
 
@@ -123,7 +123,7 @@ class Responses:
     @staticmethod
     def weights(fills: Array) -> Array:
         """(..., 9) weights of the values at FILL_NODES in the value at fills (...)."""
-        return np.asarray(_spline()(fills))
+        return np.asarray(_fill_spline()(fills))
 
     def variances(self, target_gain: Array, rows: Index) -> Array:
         """(n, 9) at FILL_NODES, of n evaluations of given rows (3.28)."""
@@ -132,7 +132,7 @@ class Responses:
         target = square * (target_gain * self.target[rows])[:, None] + (1.0 - f) ** 2 * self.host[rows, None]
         return np.asarray(target + self.surroundings[rows])  # (3.28)
 
-    def at(self, fills: Array, target_gain: Array, rows: Index, shift: Array | float = 0.0) -> tuple[Array, Array]:
+    def moments(self, fills: Array, target_gain: Array, rows: Index, shift: Array | float = 0.0) -> tuple[Array, Array]:
         """Means and standard deviations (n, K) at fills (n, K) or (1, K), for n evaluations of given rows.
 
         ``shift`` (n,) : departure of the true target from its spectrum, in standard deviations of the score
@@ -154,8 +154,8 @@ def target_scores(view: Retrieved, filters: LinearFilter, material: Material, ro
     classes, number, w, g = view.classes, material.host, filters.weights, FILL_NODES
     truths, bands = w.shape
     reflectance, noise, adjacency, factor = target_pixels(view, material, g)
-    means = np.einsum("uf,ukf->uk", w, wide(reflectance, truths)) - filters.offset[:, None]  # (3.26)
-    var = np.einsum("ukf,uf->uk", wide(noise, truths), w**2)  # noise of (3.28)
+    means = np.einsum("uf,ukf->uk", w, tile(reflectance, truths)) - filters.offset[:, None]  # (3.26)
+    var = np.einsum("ukf,uf->uk", tile(noise, truths), w**2)  # noise of (3.28)
     # D_B is linear in the reflectance, so that its part of the variance is a square in the fill.
     v = w[:, None, :] * np.concatenate([np.broadcast_to(x, (truths, 1, bands)) for x in adjacency], axis=1)
     parts = surroundings_variance(classes, np.concatenate([v, v[:, :1] + v[:, 1:]], axis=1))
@@ -176,14 +176,14 @@ class Evaluation(Cached):
 
     Parameters
     ----------
-    world : settled (:func:`hyperval.model.world.settled`)
+    world : truths that share the files read (:func:`hyperval.model.world.group_by_files`)
     errors : target -> (K, B) directions of the error of its spectrum
     shift : (U or 1,) departures of the targets from their spectra, in standard deviations of the score
 
     Attributes
     ----------
     scenario, axis, targets : common to all truths: names and processing, the labelled bands
-    at, which : the V truths of distinct light, sensor and classes, and the number (U,) of that of each truth
+    light_world, light_index : V truths of distinct light, sensor and classes; the number (U,) of that of each truth
     usable : (V or 1, B) bands that the detectors could use, of these V truths
     probits : of P_D, (U, K) of all truths at the false-alarm probabilities of the curves, filled by :func:`detect`
     problems : truth -> why its filter fails; filled with the filters
@@ -193,9 +193,9 @@ class Evaluation(Cached):
         self.world, self.stated, self.errors = world, world.stated, errors or {}
         self.scenario, self.axis, self.targets = self.stated.scenario, self.stated.axis, self.stated.targets
         self.shift = np.broadcast_to(shift, (world.size,))
-        self.at, self.which = world.of_light
-        self.light = light_of(self.at)
-        self.usable = usable_bands(self.at, self.light)
+        self.light_world, self.light_index = world.by_light
+        self.light = scene_light(self.light_world)
+        self.usable = usable_bands(self.light_world, self.light)
         self.cache: dict[Any, Any] = {}
         self.probits: dict[RocKey, Array] = {}
         self.moments: dict[tuple[str, str], Array] = {}
@@ -208,20 +208,20 @@ class Evaluation(Cached):
 
     def radiance(self, subject: str) -> Array:
         """Mean radiance of a class, panel or site in each truth (U, B) (3.7) [uW cm-2 sr-1 nm-1]."""
-        number = self.world.surface(subject)
-        level = self.once(("radiance", subject), lambda: self.light.level(self.at.mean[:, number : number + 1])[:, 0])
-        return self.of_truths(level)
+        i = self.world.surface_number(subject)
+        level = self.cached(("radiance", subject), lambda: self.light.signal(self.light_world.mean[:, i : i + 1])[:, 0])
+        return self.for_all_truths(level)
 
     def snr(self, subject: str) -> Array:
         """SNR of a class, panel or site in each truth (U, B) (3.20) [1]."""
-        noise, number = needed(self.light.noise, "scenario.noise"), self.world.surface(subject)
-        level = self.light.level(self.at.mean[:, number : number + 1])
-        snr = self.once(("snr", subject), lambda: noise.snr(level)[:, 0])
-        return self.of_truths(snr)
+        noise, number = needed(self.light.noise, "scenario.noise"), self.world.surface_number(subject)
+        level = self.light.signal(self.light_world.mean[:, number : number + 1])
+        snr = self.cached(("snr", subject), lambda: noise.snr(level)[:, 0])
+        return self.for_all_truths(snr)
 
-    def of_truths(self, values: Array) -> Array:
+    def for_all_truths(self, values: Array) -> Array:
         """(U, ...) of values (V or 1, ...) of the truths of distinct light."""
-        return values[self.which] if len(values) > 1 else wide(values, len(self))
+        return values[self.light_index] if len(values) > 1 else tile(values, len(self))
 
     # ---- detection -----------------------------------------------------------------------------------------
 
@@ -237,22 +237,22 @@ class Evaluation(Cached):
         return detection_bands(self.scenario, self.axis, self.usable[0])
 
     @cached_property
-    def view(self) -> Retrieved:
+    def retrieval(self) -> Retrieved:
         """The classes after the empirical line, in the detectors' bands."""
-        return retrieved(self.light, self.at, self.bands)
+        return retrieve(self.light, self.light_world, self.bands)
 
     @cached_property
     def filters(self) -> Mapping[tuple[str, str], tuple[LinearFilter, Array, Array]]:
         """(target, linear detector) -> filters, theta_m, sigma_m (V, J) of the J laws of the classes."""
-        view, linear, shape = self.view, self.stated.linear_detectors, (self.at.size, self.bands.size)
+        view, linear, shape = self.retrieval, self.stated.linear_detectors, (self.light_world.size, self.bands.size)
         wanted = {(t.name, d): view.signatures[t.name] for t in self.targets for d in linear}
         filters = {key: LinearFilter(np.full(shape, np.nan), np.full(shape[0], np.nan)) for key in wanted}
-        for v in range(self.at.size) if wanted else ():
+        for v in range(self.light_world.size) if wanted else ():
             try:
                 base = filter_base(self.stated, view, v, self.bands)
-                designs = [base.filter(detector, of_truth(x, v)) for (_, detector), x in wanted.items()]
+                designs = [base.design(detector, truth_row(x, v)) for (_, detector), x in wanted.items()]
             except UsageError as error:
-                self.problems |= dict.fromkeys(np.flatnonzero(self.which == v).tolist(), error)
+                self.problems |= dict.fromkeys(np.flatnonzero(self.light_index == v).tolist(), error)
                 continue
             for target, design in zip(filters.values(), designs, strict=True):
                 target.weights[v], target.offset[v] = design
@@ -261,10 +261,10 @@ class Evaluation(Cached):
     def material(self, target: int, world: World) -> Material:
         """A target with its host, its light and the error of its spectrum, in some truths."""
         t, bands = self.targets[target], self.bands
-        number, stretch = world.surface(t.name), world.stretch[:, world.surface(t.name)]
+        number, stretch = world.surface_number(t.name), world.stretch[:, world.surface_number(t.name)]
         error = self.errors[t.name][:, bands] if t.name in self.errors else None
-        covariance = self.stated.once(
-            ("cut", t.name, bands.tobytes()), lambda: cut(self.stated.surfaces[t.name].covariance, bands)
+        covariance = self.stated.cached(
+            ("cut", t.name, bands.tobytes()), lambda: submatrix(self.stated.surfaces[t.name].covariance, bands)
         )
         return Material(
             world.mean[:, number, bands], covariance, stretch[:, bands] if stretch.shape[1] > 1 else stretch,
@@ -276,7 +276,7 @@ class Evaluation(Cached):
         """Fills of the pixels of a population, or of the pixels of its objects."""
         if not objects:
             return self.world.pixel_fills[number]
-        return self.once(("fills", number), lambda: self.world.fills(number, True))
+        return self.cached(("fills", number), lambda: self.world.fills(number, True))
 
     def scores(self, population: str, detector: str, objects: bool = False) -> roc.RocScores | AceScores:
         """Score statistics of a target population in each truth (3.26-3.29), by pixel; ``objects``: by object, which is
@@ -290,26 +290,26 @@ class Evaluation(Cached):
         fills = self.fills(number, objects)
         if objects and fills.shape is None:  # each is one pixel
             return self.scores(population, detector)
-        make = self._scores if detector in LINEAR_DETECTORS else self._ace_scores
-        return self.once(("scores", population, detector, objects), lambda: make(target, detector, fills))
+        make = self._linear_scores if detector in LINEAR_DETECTORS else self._ace_scores
+        return self.cached(("scores", population, detector, objects), lambda: make(target, detector, fills))
 
     def _ace_scores(self, target: int, detector: str, fills: FillDistribution) -> AceScores:
-        pixels = self.once(("ace", target), lambda: [_ace_pixels(self, u, target) for u in range(len(self))])
+        pixels = self.cached(("ace", target), lambda: [_ace_pixels(self, u, target) for u in range(len(self))])
         values = fills.values.reshape(len(fills.values), *(fills.shape or (-1, 1)))
-        scored = [pixel.any_of(of_truth(values, u), of_truth(fills.weights, u)) for u, pixel in enumerate(pixels)]
+        scored = [pixel.any_above(truth_row(values, u), truth_row(fills.weights, u)) for u, pixel in enumerate(pixels)]
         return AceScores(self.pfa, pixels, scored)
 
-    def _scores(self, target: int, detector: str, fills: FillDistribution) -> roc.RocScores:
+    def _linear_scores(self, target: int, detector: str, fills: FillDistribution) -> roc.RocScores:
         rows, response = self.responses(target, detector, target)
         gain = np.broadcast_to(self.world.column("target_gain")[:, target], len(self))
         values = np.nan_to_num(fills.values)
-        means, sds = response.at(values, gain, rows, self.shift)
+        means, sds = response.moments(values, gain, rows, self.shift)
         means[np.broadcast_to(np.isnan(fills.values), means.shape)] = -np.inf  # no pixel, which never passes
         bare = response.means[rows, 0], response.variances(gain, rows)[:, 0]
         host = self.host(target, detector, np.arange(len(self)), 1.0 - values, *bare)
         if fills.shape is not None:
             means, sds = (x.reshape(-1, *fills.shape) for x in (means, sds))
-        return roc.RocScores(*self.classes(target, detector), means, sds, wide(fills.weights, len(self)), host)
+        return roc.RocScores(*self.classes(target, detector), means, sds, tile(fills.weights, len(self)), host)
 
     def host(
         self, target: int, detector: str, truths: Index, share: Array, mean: Array, variance: Array
@@ -317,9 +317,9 @@ class Evaluation(Cached):
         """The host of a target in some truths; None: one normal law in all."""
         laws, parts, _ = self.host_laws(target)
         classes, which = self.classes(target, detector)
-        scores = classes.rows(which[truths]).of(laws)
+        scores = classes.rows(which[truths]).select_laws(laws)
         host = roc.Host(share, mean, variance, replace(scores, fraction=np.broadcast_to(parts, scores.mean.shape)))
-        return None if host.normal.all() else host
+        return None if host.is_normal.all() else host
 
     def host_laws(self, target: int) -> tuple[Index, Array, Array]:
         """(C,) numbers of the background's laws in a target's host, their parts, and (U or 1, C) dof."""
@@ -330,28 +330,28 @@ class Evaluation(Cached):
     def classes(self, target: int, detector: str) -> tuple[roc.ClassScores, Index]:
         """Scores of the background's laws for each distinct combination of light, classes and tails."""
 
-        def made() -> tuple[roc.ClassScores, Index]:
+        def distinct_scores() -> tuple[roc.ClassScores, Index]:
             _, means, sds = self.filters[self.targets[target].name, detector]
-            dof, fraction = self.world.law_dof, self.at.law_fraction
-            first, which = distinct([self.which, *(dof.T if len(dof) > 1 else ())], len(self))
-            light = self.which[first]
-            tails, fractions = (wide(at_rows(x, rows), first.size) for x, rows in ((dof, first), (fraction, light)))
+            dof, fraction = self.world.law_dof, self.light_world.law_fraction
+            first, which = unique([self.light_index, *(dof.T if len(dof) > 1 else ())], len(self))
+            light = self.light_index[first]
+            tails, fractions = (tile(select_rows(x, rows), first.size) for x, rows in ((dof, first), (fraction, light)))
             return roc.ClassScores(fractions, means[light], sds[light], tails), which
 
-        return self.once(("classes", target, detector), made)
+        return self.cached(("classes", target, detector), distinct_scores)
 
     def responses(self, looks_for: int, detector: str, holds: int) -> tuple[Index, Responses]:
         """Row (U,) of each truth, and scores against the fill of pixels that hold a target, by the filter of the same
         or another target.
         """
 
-        def made() -> tuple[Index, Responses]:
-            first, rows = self.world.distinct([self.targets[holds].name])
+        def filter_responses() -> tuple[Index, Responses]:
+            first, rows = self.world.distinct_truths([self.targets[holds].name])
             filters = self.filters[self.targets[looks_for].name, detector][0]
             material = self.material(holds, self.world.rows(first))
-            return rows, target_scores(self.view, filters, material, self.which[first])
+            return rows, target_scores(self.retrieval, filters, material, self.light_index[first])
 
-        return self.once(("responses", looks_for, detector, holds), made)
+        return self.cached(("responses", looks_for, detector, holds), filter_responses)
 
     def population(self, name: str) -> tuple[int, int, TargetSubject]:
         """Number of the population of that name and of its target, and its entry in the scenario."""
@@ -367,14 +367,14 @@ def evaluations(
     """All truths, grouped by files read and detectors' bands, with the numbers (n,) of those in each group."""
     groups: list[tuple[Index, Evaluation]] = []
     shifts = np.broadcast_to(shift, (world.size,))
-    for index, part in settled(world):
+    for index, part in group_by_files(world):
         evaluation = Evaluation(part, errors, shifts[index])
-        first, group = distinct([evaluation.usable], len(evaluation.usable))
+        first, group = unique([evaluation.usable], len(evaluation.usable))
         if first.size == 1:
             groups.append((index, evaluation))
             continue
         for i in range(first.size):
-            rows = np.flatnonzero(group[evaluation.which] == i)
+            rows = np.flatnonzero(group[evaluation.light_index] == i)
             groups.append((index[rows], Evaluation(part.rows(rows), errors, shifts[index[rows]])))
     return sorted(groups, key=lambda numbered: int(numbered[0][0]))
 
@@ -422,13 +422,13 @@ class AcePixels(NamedTuple):
     nodes: Array
     at_nodes: list[Exceedance]
 
-    def any_of(self, fills: Array, weights: Array) -> Exceedance:
+    def any_above(self, fills: Array, weights: Array) -> Exceedance:
         """Probability that any of the pixels with ``fills`` (K, n), NaN: none, passes, averaged with ``weights`` (K,).
 
         >>> pixel = Exceedance(np.array([0.5]), np.array([0.4]), np.zeros(1))
         >>> of_two = AcePixels(pixel, np.array([0.1, 0.2]), [pixel, pixel])
         >>> fills = np.array([[0.1, 0.2], [0.1, np.nan]])
-        >>> [of_two.any_of(fills, weights).probability.round(9).tolist() for weights in np.eye(2)]
+        >>> [of_two.any_above(fills, weights).probability.round(9).tolist() for weights in np.eye(2)]
         [[0.64], [0.4]]
         """
         error = np.max([e.standard_error for e in self.at_nodes], axis=0)
@@ -454,7 +454,7 @@ class AceScores(NamedTuple):
 
     def thresholds(self, pfa: Array) -> Array:
         """(n, K) thresholds at ``pfa`` (n, K) or (1, K)."""
-        pairs = zip(wide(pfa, len(self.pixels)), self.pixels, strict=True)
+        pairs = zip(tile(pfa, len(self.pixels)), self.pixels, strict=True)
         return np.array([ace_threshold(p, [1.0], [pixel.background]) for p, pixel in pairs])
 
     def detection_above(self, thresholds: Array) -> Array:
@@ -485,13 +485,13 @@ class AceScores(NamedTuple):
 
     def background(self, at: Index, thresholds: Array, *, densities: bool) -> list[tuple[ScoreDistribution, None]]:
         """Score distributions of the background in some truths, by draws; without the preset P_FA of (3.30)."""
-        return [(_distribution(self.pixels[u].background), None) for u in at]
+        return [(_score_distribution(self.pixels[u].background), None) for u in at]
 
     def target(self, at: Index, *, densities: bool) -> list[ScoreDistribution]:
         """Score distributions of the population in some truths."""
-        return [_distribution(self.scored[u]) for u in at]
+        return [_score_distribution(self.scored[u]) for u in at]
 
-    def note(self, u: int) -> str:
+    def error_note(self, u: int) -> str:
         """Standard errors of the draws of one truth, in words."""
         host, drawn = self.pixels[u].background, max(float(x.standard_error.max()) for x in self.pixels[u].at_nodes)
         lowest = ace_threshold(self.pfa[0], [1.0], [host])
@@ -503,10 +503,10 @@ class AceScores(NamedTuple):
 def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
     """One truth: exceedance of the background, and of target pixels at nodes over all fills of its populations."""
     processing, named = e.scenario.processing, e.targets[target]
-    v, view = int(e.which[u]), e.view.rows(e.which[u : u + 1])
-    classes, base, signatures = view.classes, filter_base(e.stated, e.view, v, e.bands), view.signatures[named.name][0]
-    space = ace_space(base.of(signatures), base.of(base.mean), base.factor)
-    slope, surroundings = view.slope[0], e.view.classes.covariance(v)
+    v, view = int(e.light_index[u]), e.retrieval.rows(e.light_index[u : u + 1])
+    base, classes = filter_base(e.stated, e.retrieval, v, e.bands), view.classes
+    space = ace_space(base.project(view.signatures[named.name][0]), base.project(base.mean), base.factor)
+    slope, surroundings = view.slope[0], e.retrieval.classes.covariance(v)
 
     def spread_of(surface: Array, d_b: Array, noise: Array) -> Array:
         """(F, F) of pixels of a surface, from that of its reflectance, D_B / k and its noise (3.11-3.21)."""
@@ -518,14 +518,14 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
         normal: Array | None = None,
     ) -> Exceedance:  # fmt: skip
         """P(ACE > eta) of pixels with a mean, a covariance with tails, and a normal part."""
-        normal = None if normal is None else base.spread(normal)
+        normal = None if normal is None else base.project_covariance(normal)
         return ace_exceedance(
-            space, base.of(mean), base.spread(covariance), processing.samples,
+            space, base.project(mean), base.project_covariance(covariance), processing.samples,
             np.random.default_rng([processing.seed, *stream]), None if np.isinf(dof) else dof, decades=decades,
             normal=normal,
         )  # fmt: skip
 
-    fractions, dof = classes.law_fraction[0], of_truth(e.world.law_dof, u)
+    fractions, dof = classes.law_fraction[0], truth_row(e.world.law_dof, u)
     decades = np.linspace(0.0, -float(np.log10(e.pfa[0])), 4).tolist()
     exceedances, laws = [], []
     for j, law in enumerate(classes.laws):
@@ -536,7 +536,7 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
         covariance = spread_of(surface, view.adjacency[0, m], view.noise[0, m])
         laws.append((mean, surface, covariance))
         exceedances.append(p_above(mean, covariance, float(dof[j]), [j], decades))
-    background = _mixed(fractions, exceedances)
+    background = _mixture_exceedance(fractions, exceedances)
     numbers, parts, _ = e.host_laws(target)
     world, number = e.world.rows(np.array([u])), e.stated.classes.index(named.host)
     material = e.material(target, world)
@@ -549,11 +549,11 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
         mean = means[0, 0]
         if shift and material.error is not None:
             # The true target departs along the filter's own direction, by standard deviations of its score.
-            w = base.filter("matched-filter", signatures).weights * slope
+            w = base.design("matched-filter", view.signatures[named.name][0]).weights * slope
             gradient = material.error @ w
             mean = mean + shift * fill * (gradient @ material.error / np.linalg.norm(gradient)) * slope
         factor = material.stretch[0] * np.ravel(lit) * np.ones(e.bands.size)
-        spread = material.covariance * np.outer(factor, factor) * float(world.of_target("target_gain", target)[0])
+        spread = material.covariance * np.outer(factor, factor) * float(world.target_column("target_gain", target)[0])
         f2 = fill**2 + float(material.fine_texture[0]) * (fill - fill**2)
         d_b = share * host_db[0, 0] + fill * full_db[0, 0]
         covariance = spread_of(f2 * spread + share**2 * host, d_b, noise[0, 0])
@@ -566,11 +566,11 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
             centre = mean + share * (law_mean - view.means[0, number])
             stream = [1_000_003, *([k] if k else [])]
             by_law.append(p_above(centre, part, float(dof[j]), stream, _DECADES, total - part if tailed else None))
-        return _mixed(parts, by_law)
+        return _mixture_exceedance(parts, by_law)
 
     # Fills of objects too, even without their curves.
     spread = [i for i, (t, _, _) in enumerate(e.stated.populations) if t == target]
-    fill_sets = [of_truth(e.fills(i, objects).values, u) for i in spread for objects in (False, True)]
+    fill_sets = [truth_row(e.fills(i, objects).values, u) for i in spread for objects in (False, True)]
     fill_sets = [fills[np.isfinite(fills)] for fills in fill_sets]
     ends = sorted({float(end) for fills in fill_sets for end in (fills.min(), fills.max())})
     nodes, asked = {fill: at_fill(fill) for fill in ends}, background.probability >= e.pfa[0]
@@ -579,22 +579,22 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
         low, high = gaps.pop()
         middle = 0.5 * (low + high)
         nodes[middle] = at_fill(middle)
-        if high - low > 1e-3 and not _is_straight(*(nodes[f].probability[asked] for f in (low, middle, high))):
+        if high - low > 1e-3 and not _is_linear_in_probit(*(nodes[f].probability[asked] for f in (low, middle, high))):
             gaps += [(low, middle), (middle, high)]
     return AcePixels(background, np.array(sorted(nodes)), [nodes[fill] for fill in sorted(nodes)])
 
 
-def _is_straight(low: Array, middle: Array, high: Array) -> bool:
+def _is_linear_in_probit(low: Array, middle: Array, high: Array) -> bool:
     """Whether P_D over the fill is linear in probit: the middle of a gap between nodes against its ends.
 
     Near 0 and 1 the probit saturates, so both the probability and its probit within 3 are compared.  The error of the
     mean over fills of felts of 0.5 to 3 m at 1 m is then 0.002.
 
-    >>> _is_straight(*ndtr([[-1.0], [0.0], [1.0]]))
+    >>> _is_linear_in_probit(*ndtr([[-1.0], [0.0], [1.0]]))
     True
-    >>> _is_straight(*ndtr([[-3.0], [9.0], [9.0]])), _is_straight(*ndtr([[1.0], [9.0], [9.0]]))
+    >>> _is_linear_in_probit(*ndtr([[-3.0], [9.0], [9.0]])), _is_linear_in_probit(*ndtr([[1.0], [9.0], [9.0]]))
     (False, False)
-    >>> _is_straight(*ndtr([[-2.0], [0.9], [2.0]]))
+    >>> _is_linear_in_probit(*ndtr([[-2.0], [0.9], [2.0]]))
     False
     """
     ends, clipped = roc.probit([low, high]), roc.probit([low, middle, high]).clip(-3.0, 3.0)
@@ -602,14 +602,14 @@ def _is_straight(low: Array, middle: Array, high: Array) -> bool:
     return bool(np.all((np.abs(ndtr(ends.mean(axis=0)) - middle) < 0.05) & (curvature < 1.0)))
 
 
-def _mixed(parts: Array, laws: Sequence[Exceedance]) -> Exceedance:
+def _mixture_exceedance(parts: Array, laws: Sequence[Exceedance]) -> Exceedance:
     """Exceedance of a mixture of laws."""
     pairs = list(zip(parts, laws, strict=True))
     error = np.sqrt(sum((part * law.standard_error) ** 2 for part, law in pairs))
     return Exceedance(laws[0].scores, np.asarray(sum(part * law.probability for part, law in pairs)), error)
 
 
-def _distribution(population: Exceedance) -> ScoreDistribution:
+def _score_distribution(population: Exceedance) -> ScoreDistribution:
     mean, sd = population.moments
     density = np.clip(-np.gradient(population.probability, population.scores), 0.0, None)
     return ScoreDistribution(mean, sd, None, population.scores, density)
@@ -656,7 +656,7 @@ def detect(
                     products["scores"][background_of(population), name] = replace(background, n=n)
             for products, u in zip(results, points, strict=True):
                 if isinstance(scores, AceScores):
-                    text = f"{name} of {target.name}: {processing.samples} draws per class; {scores.note(u)}"
+                    text = f"{name} of {target.name}: {processing.samples} draws per class; {scores.error_note(u)}"
                     products["notes"].append(text)
                 else:
                     products["exceedance"][target.name, name] = ExceedanceCurve(thresholds[u, ::-1], *(pfa[::-1],) * 3)

@@ -116,7 +116,7 @@ def beta_fill(mean: float, sd: float, nodes: int = 48) -> FillDistribution:
 
 def touched_counts(geometry: Geometry) -> Index:
     """(K,) number of pixels that the target's outline meets (f of 3.10), for K equally likely positions."""
-    return np.asarray(_fills_and_touched(_outline(geometry))[1].sum(axis=(1, 2)))
+    return np.asarray(_fills_and_touched(_shape_key(geometry))[1].sum(axis=(1, 2)))
 
 
 def object_fills(geometry: Geometry, n: int) -> Array:
@@ -128,7 +128,7 @@ def object_fills(geometry: Geometry, n: int) -> Array:
     >>> sorted(set(np.isfinite(object_fills(geometry, 4)).sum(axis=1).tolist()))
     [1, 2, 4]
     """
-    fills, touched = _fills_and_touched(_outline(geometry))
+    fills, touched = _fills_and_touched(_shape_key(geometry))
     if geometry.pixels == "touched":
         fills = np.where(touched, fills, np.nan)
     fills = -np.sort(-fills.reshape(len(fills), -1), axis=1)
@@ -143,7 +143,7 @@ def lattice_positions(count: int) -> Array:
     return np.asarray(np.stack([(i + 0.5) / PHASES, (i * _LATTICE + 0.5) / PHASES], axis=1) % 1.0 - 0.5)
 
 
-def _outline(geometry: Geometry, **changes: str) -> Geometry:
+def _shape_key(geometry: Geometry, **changes: str) -> Geometry:
     """The geometry without its choice of pixels, as a key: fills do not depend on that."""
     return geometry.model_copy(update={"pixels": "best", "n": None, **changes})
 
@@ -158,10 +158,10 @@ def _fills_and_touched(geometry: Geometry) -> tuple[npt.NDArray[Any], ...]:
     angles = 180.0 * ((0.5 + i * np.sqrt(2.0)) % 1.0)
     heading = angles if any_heading else np.full(count, geometry.heading_deg, dtype=float)
     fills = pixel_fills(geometry, offset, heading)
-    return fills, _touched(geometry, offset, heading, fills.shape[1])
+    return fills, _touched_pixels(geometry, offset, heading, fills.shape[1])
 
 
-def _touched(geometry: Geometry, offset: Array, heading_deg: Array, size: int) -> Mask:
+def _touched_pixels(geometry: Geometry, offset: Array, heading_deg: Array, size: int) -> Mask:
     """(K, P, P) True for pixels whose square and the target overlap: no separating axis of either."""
     a, b = (0.5 * side for side in geometry.sides_pixels)
     pixels = np.arange(size, dtype=float) - size // 2
@@ -307,7 +307,7 @@ def shared_pixel_fills(
     shared = np.zeros((*fills.shape, len(neighbours)))
     for j, (geometry, offset) in enumerate(neighbours):
         displacement = np.asarray(offset) + (0.0 if shifts is None else shifts[:, j, None, :])
-        shared[..., j] = _interpolated_fills(_fill_table(_outline(geometry, phase="random")), chosen - displacement)
+        shared[..., j] = _interpolated_fills(_fill_table(_shape_key(geometry, phase="random")), chosen - displacement)
     total = np.maximum(fills + shared.sum(axis=2), 1.0)  # NaN of both where there is no pixel
     return fills / total, shared / total[..., None]
 
@@ -316,14 +316,14 @@ def shared_pixel_fills(
 def _fullest(geo: Geometry, n: int) -> tuple[Array, ...]:
     """(K, n) fills of the fullest pixels of a target, and their positions (K, n, 2) from its centre."""
     place = np.zeros((1, 2)) if geo.phase == "centred" else lattice_positions(PHASES)[:, ::-1]  # (K, 2) lines, samples
-    table = _fill_table(_outline(geo, phase="random"))
+    table = _fill_table(_shape_key(geo, phase="random"))
     half = (table.shape[0] // _STEPS - 1) // 2
     grid = np.stack(np.meshgrid(*2 * (np.arange(-half, half + 1.0),), indexing="ij"), axis=-1).reshape(-1, 2)
     at_pixels = grid[None] - place[:, None]  # (K, P, 2) pixel's centre from the target's
     fills = _interpolated_fills(table, at_pixels)
     if geo.pixels == "touched":
         heading = np.full(len(place), geo.heading_deg, dtype=float)
-        fills[~_touched(geo, place[:, ::-1], heading, 2 * half + 1).reshape(fills.shape)] = np.nan
+        fills[~_touched_pixels(geo, place[:, ::-1], heading, 2 * half + 1).reshape(fills.shape)] = np.nan
     if n > fills.shape[1]:
         fills = np.pad(fills, ((0, 0), (0, n - fills.shape[1])))
         at_pixels = np.pad(at_pixels, ((0, 0), (0, n - at_pixels.shape[1]), (0, 0)), constant_values=1e6)
@@ -383,14 +383,14 @@ def fills_of_objects(fill: Fill, n: int | None = None) -> Array:
     ``n`` : default: as many as it may have
     """
     if fill.geometry is not None:
-        return object_fills(fill.geometry, n or pixels_of_object(fill))
+        return object_fills(fill.geometry, n or object_pixel_count(fill))
     if fill.listed is not None:
-        size = pixels_of_object(fill)
+        size = object_pixel_count(fill)
         return np.array([sorted(row, reverse=True) + [np.nan] * (size - len(row)) for row in fill.listed])
     return fill_distribution(fill).values[:, None]
 
 
-def pixels_of_object(fill: Fill) -> int:
+def object_pixel_count(fill: Fill) -> int:
     """Pixels of one object: its fullest, as many as it may touch where those that it touches count."""
     if fill.listed is not None:
         return max(len(row) for row in fill.listed)
@@ -474,17 +474,17 @@ def fill_with_mean(fill: Fill, offset: float) -> Fill:
         sd = min(fill.sd or 0.0, 0.99 * float(np.sqrt(mean * (1.0 - mean))))
         return fill.model_copy(update={"mean": mean, "sd": sd})
     if fill.listed is not None and offset < 0.0:
-        return _scaled(fill, np.log(max(mean_before + offset, 1e-12) / mean_before))
+        return _scaled_fill(fill, np.log(max(mean_before + offset, 1e-12) / mean_before))
     sizes = _size_over_mean(fill, next((mean for mean in _MEANS if mean_before + offset <= mean), _MEANS[-1]))
     log_mean = min(np.log(max(mean_before + offset, 1e-12)), sizes.x[-1])
     within_table = max(log_mean, sizes.x[0])  # below goes the area
     size, slope = sizes(within_table) + 0.5 * (log_mean - within_table), sizes(within_table, 1)
     for _ in range(2):
-        size -= slope * (np.log(fill_distribution(_scaled(fill, size)).mean) - log_mean)
-    return _scaled(fill, size)
+        size -= slope * (np.log(fill_distribution(_scaled_fill(fill, size)).mean) - log_mean)
+    return _scaled_fill(fill, size)
 
 
-def _scaled(fill: Fill, size: float) -> Fill:
+def _scaled_fill(fill: Fill, size: float) -> Fill:
     """A fill by geometry whose sides, or a listed one whose values, are exp(size) times as large."""
     factor = float(np.exp(size))
     if (g := fill.geometry) is None:
@@ -500,7 +500,7 @@ def _size_over_mean(fill: Fill, limit: float) -> Any:
     points = list[tuple[float, float]]()
     with suppress(UsageError):  # a target of more pixels than are taken
         for size in _FACTORS:
-            mean = float(np.log(fill_distribution(_scaled(fill, size)).mean))
+            mean = float(np.log(fill_distribution(_scaled_fill(fill, size)).mean))
             points += [(mean, size)] if not points or mean > points[-1][0] + 1e-9 else []
             if mean > np.log(limit):
                 break

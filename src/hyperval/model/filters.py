@@ -21,7 +21,7 @@ from scipy.linalg.lapack import dpftrf, dpftrs, dpocon, dtfttr
 
 from hyperval.data import Array, Index
 from hyperval.errors import UsageError, refusal, refuse
-from hyperval.model.radiance import Retrieved, add_products, diagonal_places, latest, of_truth, packed, unpacked
+from hyperval.model.radiance import Retrieved, add_products, cached_matrix, pack, packed_diagonal, truth_row, unpack
 from hyperval.model.stated import Stated
 
 # Beyond this the float64 solve keeps fewer than about three correct digits.
@@ -61,14 +61,14 @@ class PositiveDefinite:
         if scale is None:
             scale = np.sqrt(np.maximum(np.diag(values), 0.0))
             with np.errstate(divide="ignore", invalid="ignore"):
-                values = packed(values / scale[:, None] / scale)
+                values = pack(values / scale[:, None] / scale)
         self.scale, self._values = scale, values
-        diagonal = values[diagonal_places(scale.size)]
+        diagonal = values[packed_diagonal(scale.size)]
         bad = (np.arange(scale.size) if bands is None else bands)[~(diagonal > 0)]
         refuse(bad.size, "background.flat", bad=bad.size, bands=scale.size, first=bad[:1] + 1)
         refuse(not np.isfinite(values.sum()), "background.finite")
         self._cholesky, failed = dpftrf(scale.size, values, uplo="L")
-        pivots = self._cholesky[diagonal_places(scale.size)] ** 2 / diagonal
+        pivots = self._cholesky[packed_diagonal(scale.size)] ** 2 / diagonal
         if failed or (pivots.max() > _SUSPECT * pivots.min() and not self.condition <= MAX_CONDITION):
             eigenvalues = np.linalg.eigvalsh(self._at_unit_diagonal)
             rank = int(np.sum(eigenvalues > eigenvalues[-1] * scale.size * np.finfo(float).eps))
@@ -78,12 +78,12 @@ class PositiveDefinite:
     @property
     def matrix(self) -> Array:
         """(F, F)."""
-        return unpacked(self._values, self.scale.size) * np.outer(self.scale, self.scale)
+        return unpack(self._values, self.scale.size) * np.outer(self.scale, self.scale)
 
     @property
     def _at_unit_diagonal(self) -> Array:
-        unit = 1.0 / np.sqrt(self._values[diagonal_places(self.scale.size)])
-        return unpacked(self._values, self.scale.size) * np.outer(unit, unit)
+        unit = 1.0 / np.sqrt(self._values[packed_diagonal(self.scale.size)])
+        return unpack(self._values, self.scale.size) * np.outer(unit, unit)
 
     @cached_property
     def _lower(self) -> Array:
@@ -93,7 +93,7 @@ class PositiveDefinite:
     @cached_property
     def condition(self) -> float:
         """Estimated 1-norm condition number at unit diagonal."""
-        unit = 1.0 / np.sqrt(self._values[diagonal_places(self.scale.size)])
+        unit = 1.0 / np.sqrt(self._values[packed_diagonal(self.scale.size)])
         lower = np.asfortranarray(self._lower * unit[:, None])
         reciprocal, _ = dpocon(lower, np.abs(self._at_unit_diagonal).sum(axis=0).max(), uplo="L")
         return float(1.0 / reciprocal) if reciprocal > 0 else float("inf")
@@ -153,7 +153,7 @@ def matched_filter_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covarianc
     t, mu, sigma = _checked(target, mean, covariance)
     d = t - mu  # (3.22)
     solved = sigma.solve(d)
-    w = solved / _energy(d, solved)  # (3.23), (3.24): the target itself scores 1
+    w = solved / _target_energy(d, solved)  # (3.23), (3.24): the target itself scores 1
     return LinearFilter(w, float(w @ mu))  # (3.25)
 
 
@@ -168,7 +168,7 @@ def spectral_matched_filter(target: npt.ArrayLike, mean: npt.ArrayLike, covarian
     """
     t, mu, sigma = _checked(target, mean, covariance)
     solved = sigma.solve(t - mu)
-    w = solved / np.sqrt(_energy(t - mu, solved))
+    w = solved / np.sqrt(_target_energy(t - mu, solved))
     return LinearFilter(w, float(w @ mu))
 
 
@@ -183,7 +183,7 @@ def cem_correlation_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covarian
     t, mu, sigma = _checked(target, mean, covariance)
     inv_mu = sigma.solve(mu)
     solved = sigma.solve(t) - inv_mu * float(inv_mu @ t) / (1.0 + float(inv_mu @ mu))  # Sherman & Morrison 1950
-    return LinearFilter(solved / _energy(t, solved), 0.0)
+    return LinearFilter(solved / _target_energy(t, solved), 0.0)
 
 
 def _checked(
@@ -196,7 +196,7 @@ def _checked(
     return t, mu, covariance if isinstance(covariance, PositiveDefinite) else PositiveDefinite(covariance)
 
 
-def _energy(difference: Array, solved: Array) -> float:
+def _target_energy(difference: Array, solved: Array) -> float:
     """d^T Sigma^-1 d."""
     energy = float(difference @ solved)
     refuse(not energy > 0, "filter.zero")
@@ -261,17 +261,17 @@ class FilterBase:
     psi: Array | None
     factor: PositiveDefinite
 
-    def of(self, spectrum: Array) -> Array:
+    def project(self, spectrum: Array) -> Array:
         """A spectrum (F,) in the features (3.21)."""
         return spectrum if self.psi is None else features(self.psi, spectrum)
 
-    def spread(self, covariance: Array) -> Array:
+    def project_covariance(self, covariance: Array) -> Array:
         """A covariance (F, F) in the features (3.21)."""
         return covariance if self.psi is None else feature_covariance(self.psi, covariance)
 
-    def filter(self, detector: str, target: Array) -> LinearFilter:
+    def design(self, detector: str, target: Array) -> LinearFilter:
         """The filter, as weights of the bands: w Psi of the filter in the features (3.21-3.25)."""
-        weights, offset = design_filter(detector, self.of(target), self.of(self.mean), self.factor)
+        weights, offset = design_filter(detector, self.project(target), self.project(self.mean), self.factor)
         return LinearFilter(weights if self.psi is None else weights @ self.psi, offset)
 
 
@@ -288,27 +288,27 @@ def filter_base(stated: Stated, view: Retrieved, u: int, bands: Index) -> Filter
     UsageError : a matrix that can not be inverted.
     """
     classes, names, space = view.classes, stated.scenario.processing.filter_classes, stated.scenario.processing.features
-    f = np.where([not names or name in names for name in stated.classes], of_truth(classes.fraction, u), 0.0)
+    f = np.where([not names or name in names for name in stated.classes], truth_row(classes.fraction, u), 0.0)
     f = f / f.sum() if names else f
-    weights, used, slope = f * of_truth(classes.gain, u), f > 0.0, of_truth(view.slope, u)
-    f, means, noise = f[used], of_truth(view.means, u)[used], of_truth(view.noise, u)[used]
+    weights, used, slope = f * truth_row(classes.gain, u), f > 0.0, truth_row(view.slope, u)
+    f, means, noise = f[used], truth_row(view.means, u)[used], truth_row(view.noise, u)[used]
     mean, scale = f @ means, np.sqrt(f)[:, None] / slope
-    adjacency, between = scale * of_truth(view.adjacency, u)[used], scale * (means - mean)
+    adjacency, between = scale * truth_row(view.adjacency, u)[used], scale * (means - mean)
 
     def noiseless() -> Array:
         """The covariance over the slopes, without noise."""
-        inner = classes.mixed(weights, u)
+        inner = classes.within_class(weights, u)
         total = add_products(np.empty_like(inner), adjacency, fresh=True)
-        total *= classes.surroundings(u)
+        total *= classes.packed_covariance(u)
         total += inner
         return add_products(total, between)
 
-    key = b"".join([weights.tobytes(), adjacency.tobytes(), between.tobytes(), classes.key(u)])
-    values = np.array(latest(classes.cache, "still", key, noiseless))
-    values[diagonal_places(slope.size)] += f @ noise / slope**2
+    key = b"".join([weights.tobytes(), adjacency.tobytes(), between.tobytes(), classes.cache_key(u)])
+    values = np.array(cached_matrix(classes.cache, "noiseless", key, noiseless))
+    values[packed_diagonal(slope.size)] += f @ noise / slope**2
     if space is None:
         return FilterBase(mean, None, PositiveDefinite(values, slope, bands))
-    covariance = unpacked(values, slope.size) * np.outer(slope, slope)
+    covariance = unpack(values, slope.size) * np.outer(slope, slope)
     psi = principal_components(covariance, space.pca)
     return FilterBase(mean, psi, PositiveDefinite(feature_covariance(psi, covariance)))
 

@@ -21,12 +21,12 @@ from hyperval.atmosphere import AtmosphericTerms
 from hyperval.data import Array, Errors, Index
 from hyperval.model import radiance
 from hyperval.model.detection import Evaluation, RocKey, class_scores, detect, evaluations
-from hyperval.model.inputs import UncertainInput, drawn_truths, inputs_of, inputs_of_spectra, spectrum_errors
+from hyperval.model.inputs import UncertainInput, draw_truths, inputs_of_spectra, spectrum_errors, uncertain_inputs
 from hyperval.model.intervals import Z95, jackknife_directions
 from hyperval.model.objects import Shares, expected_scores, object_scores, shares_of
 from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, log_false_alarm, probit
 from hyperval.model.stated import Origins, Stated, Truth, state_value
-from hyperval.model.world import World, find, read_world, settled, with_truths
+from hyperval.model.world import World, find_path, group_by_files, read_world, with_truths
 from hyperval.products import SPECTRA, ExceedanceCurve, PixelDistribution, PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.progress import track
 from hyperval.scenario import Scenario, Uncertainty
@@ -43,7 +43,7 @@ _PROBIT_ROUNDING = 1e-6  # of a probit: below it a change is rounding
 _INNER_PROBIT = 3.0  # shifts are measured within +- this probit of P_D
 
 
-def with_bands(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes]) -> dict[RocKey, RocCurve]:
+def with_pd_limits(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes]) -> dict[RocKey, RocCurve]:
     """The curves with 95 % intervals of P_D from drawn curves.
 
     Each draw moves the curve along all directions of all inputs at once, by multiples of its change, in probit, for
@@ -60,7 +60,7 @@ def with_bands(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes]
     >>> pfa, key = np.array([1e-3, 1e-2, 1e-1]), ("plank", "cem", "pixel")
     >>> curve, up = RocCurve(pfa, *(pfa**0.3,) * 3, pfa), np.array([[0.3, 0.2, 0.1], [0.1, 0.2, 0.2]])
     >>> beside = np.insert(up, 1, 1e-13, axis=0)
-    >>> each = [with_bands({key: curve}, {key: (moved, -0.5 * moved)})[key].pd_lower for moved in (up, beside)]
+    >>> each = [with_pd_limits({key: curve}, {key: (moved, -0.5 * moved)})[key].pd_lower for moved in (up, beside)]
     >>> np.array_equal(*each)
     True
     """
@@ -75,7 +75,7 @@ def with_bands(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes]
         drawn = np.sort(z + np.maximum(c, 0.0) @ plus + np.maximum(-c, 0.0) @ minus, axis=1)
         # The odd part has limits in closed form; the draws give the difference of all from it.
         half_width, even_draws = Z95 * np.sqrt((even**2).sum(axis=0)), z + c @ even
-        (low, high), (even_low, even_high) = limits(drawn), limits(even_draws)
+        (low, high), (even_low, even_high) = interval_limits(drawn), interval_limits(even_draws)
         low, high = (ndtr(np.sort(x)) for x in (low - even_low + z - half_width, high - even_high + z + half_width))
         curves[key] = drawn_curve(curve, (low, high))
     return curves
@@ -116,7 +116,7 @@ def drawn_curve(curve: RocCurve, interval: tuple[Array, Array]) -> RocCurve:
     return replace(curve, pd_lower=np.minimum(low, curve.pd), pd_upper=np.maximum(high, curve.pd))
 
 
-def limits(draws: Array) -> tuple[Array, Array]:
+def interval_limits(draws: Array) -> tuple[Array, Array]:
     """(n,) limits of the 95 % interval of draws (N, n), probabilistically symmetric (JCGM 101:2008, 7.7.2)."""
     low, high = np.quantile(draws, [0.025, 0.975], axis=0)
     return low, high
@@ -162,10 +162,10 @@ def with_law_errors(prediction: PredictedProducts, e: Evaluation, origins: Origi
     log_pfa: dict[tuple[str, str], dict[str, Array]] = {key: {} for key in thresholds}
     for region, replicates in origins.left_out():
         parts = (replace(origins, measured={**(origins.measured or {}), region: part}) for part in replicates)
-        worlds = [settled(with_truths(read_world(free, part), [truth]))[0][1] for part in parts]
-        laws = [(w.law_fraction, w.law_dof, radiance.retrieved(radiance.light_of(w), w, e.bands)) for w in worlds]
+        worlds = [group_by_files(with_truths(read_world(free, part), [truth]))[0][1] for part in parts]
+        laws = [(w.law_fraction, w.law_dof, radiance.retrieve(radiance.scene_light(w), w, e.bands)) for w in worlds]
         for key, x in thresholds.items():
-            row, row_filter = np.zeros(x.size, int), e.filters[key][0].rows(e.which[:1])
+            row, row_filter = np.zeros(x.size, int), e.filters[key][0].rows(e.light_index[:1])
             scores = [ClassScores(fraction, *class_scores(view, row_filter), dof) for fraction, dof, view in laws]
             log_pfa[key][region] = np.array([log_false_alarm(x, s.rows(row))[0] for s in scores])
     for key, regions in log_pfa.items():
@@ -189,12 +189,12 @@ def with_law_limits(curve: RocCurve, alarms: ExceedanceCurve) -> RocCurve:
     log_lower = np.maximum.accumulate(np.log(alarms.lower[::-1]))
     log_upper = np.minimum.accumulate(np.log(alarms.upper))[::-1]
     log_pfa = np.log(curve.pfa)
-    upper = z + np.hypot(high - z, np.maximum(_extrapolated(log_pfa, log_lower, z) - z, 0.0))
-    lower = z - np.hypot(z - low, np.maximum(z - _extrapolated(log_pfa, log_upper, z), 0.0))
+    upper = z + np.hypot(high - z, np.maximum(_extrapolate(log_pfa, log_lower, z) - z, 0.0))
+    lower = z - np.hypot(z - low, np.maximum(z - _extrapolate(log_pfa, log_upper, z), 0.0))
     return replace(curve, pd_lower=ndtr(np.maximum.accumulate(lower)), pd_upper=ndtr(np.maximum.accumulate(upper)))
 
 
-def _extrapolated(y: Array, x: Array, z: Array) -> Array:
+def _extrapolate(y: Array, x: Array, z: Array) -> Array:
     """A curve z over x, both rising, at ``y``; beyond its ends with the slope there."""
     low, high = (z[1] - z[0]) / (y[1] - y[0]), (z[-1] - z[-2]) / (y[-1] - y[-2])
     return np.asarray(np.interp(y, x, z) + low * np.minimum(y - x[0], 0.0) + high * np.maximum(y - x[-1], 0.0))
@@ -219,7 +219,7 @@ def product_values(p: PredictedProducts) -> dict[Key, Array]:
     return numbers
 
 
-def tabulated(predictions: Iterable[PredictedProducts]) -> dict[Key, Array]:
+def product_table(predictions: Iterable[PredictedProducts]) -> dict[Key, Array]:
     """(N, n) :func:`product_values` of N predictions, and P_D of curves under ("curve", subject, detector, unit)."""
     rows = [product_values(p) | {("curve", *key): curve.pd for key, curve in p.roc.items()} for p in predictions]
     return {key: np.array([row[key] for row in rows]) for key in rows[0]}
@@ -294,10 +294,10 @@ def interpolated_world(world: World, inputs: Sequence[UncertainInput]) -> tuple[
         room, _, name = item.path.partition(".")
         if room == "atmosphere" and state is not None:
             value = state_value(state, name)
-            ends = [float(item.direction(0, z)[item.path][0]) for z in (-_NODE, _NODE)]
+            ends = [float(item.perturbation_along(0, z)[item.path][0]) for z in (-_NODE, _NODE)]
             ends = [end for end in ends if abs(end - value) > 1e-12]  # a node at the end of the range may be the stated
             if ends:
-                nodes[name], step[name] = [value, *ends], float(item.direction(0, 1.0)[item.path][0])
+                nodes[name], step[name] = [value, *ends], float(item.perturbation_along(0, 1.0)[item.path][0])
     if not nodes:
         return world, None
     star = replace(engine, nodes=nodes, star=True, cache={})
@@ -320,19 +320,19 @@ def with_intervals(
     their standard deviation band by band, is too noisy to be inverted in a test.
     With "both" a curve takes the limits of the draws where P_D at 1e-2 or 1e-3 disagrees.
     """
-    steps = [item.direction(k, z) for item in inputs for k in range(item.size) for z in (1.0, -1.0)]
-    moved, table, u = tabulated(_predictions(world, [{}, *steps])), [], world.stated.scenario.uncertainty
+    steps = [item.perturbation_along(k, z) for item in inputs for k in range(item.size) for z in (1.0, -1.0)]
+    moved, table, u = product_table(_predictions(world, [{}, *steps])), [], world.stated.scenario.uncertainty
     everywhere = u.method == "monte-carlo"
     for key, values in product_values(stated).items():
         linear = linear_spread(key, stated, moved[key])
-        drawn = np.array([draws[key].std(axis=0, ddof=1), *limits(draws[key])])
+        drawn = np.array([draws[key].std(axis=0, ddof=1), *interval_limits(draws[key])])
         parts: Iterable[tuple[Any, float]] = [(slice(None), np.nan)]
         if key[0] == "P_D":  # a curve may begin above
             parts = [(slice(i, i + 1), pfa) for i, pfa in enumerate(FALSE_ALARMS) if np.isfinite(values[i])]
         table += [agreement(key, values[x], linear[:, x], drawn[:, x], u.samples, pfa) for x, pfa in parts]
     differs = {row["key"][1:] for row in table if row["key"][0] == "P_D" and not row["agrees"]}
     roc = {
-        key: drawn_curve(curve, limits(draws["curve", *key])) if everywhere or key in differs else curve
+        key: drawn_curve(curve, interval_limits(draws["curve", *key])) if everywhere or key in differs else curve
         for key, curve in stated.roc.items()
     }
     notes = [_comparison_note(table, u, cost)]
@@ -357,20 +357,20 @@ def with_uncertainty(
     ----------
     inputs : drawn where the scenario has draws, or where errors shift the mean of P_D by so much that the effects of
         directions do not add up
-    changes : of probit P_D, as :func:`with_bands` takes them
+    changes : of probit P_D, as :func:`with_pd_limits` takes them
     """
     stated, u = world.stated, world.stated.scenario.uncertainty
     shifts, drawn = mean_shifts(products.roc, changes), dict[RocKey, Array]()
     nonlinear = [key for key, shift in shifts.items() if shift > DRAWN_SHIFT]
     if draws := bool(inputs) and (bool(nonlinear) or u.method != "linear"):
         star_world, cost = interpolated_world(world, inputs)
-        truths = track(drawn_truths(inputs, u.samples, u.seed), "draws of the budget")
+        truths = track(draw_truths(inputs, u.samples, u.seed), "draws of the budget")
         if u.method == "linear":  # these curves alone are drawn
             with_objects = any(unit == "object" for *_, unit in nonlinear)
             rocs = [p.roc for p in _predictions(star_world, truths, object_curves=with_objects, spectra=False)]
             drawn = {key: np.array([roc[key].pd for roc in rocs]) for key in nonlinear}
-    roc: dict[RocKey, RocCurve] = with_bands(products.roc, changes)
-    roc |= {key: drawn_curve(products.roc[key], limits(curves)) for key, curves in drawn.items()}
+    roc: dict[RocKey, RocCurve] = with_pd_limits(products.roc, changes)
+    roc |= {key: drawn_curve(products.roc[key], interval_limits(curves)) for key, curves in drawn.items()}
     filters = {p.name: stated.targets[t].name for t, _, p in stated.populations}
     for (population, detector, unit), curve in roc.items():
         alarms = products.exceedance.get((filters[population], detector))
@@ -379,7 +379,7 @@ def with_uncertainty(
     limited = replace(products, roc=roc, notes=(*products.notes, *shift_notes(shifts, drawn, u.samples)))
     if not draws or u.method == "linear":
         return limited
-    return with_intervals(limited, star_world, inputs, tabulated(_predictions(star_world, truths)), cost)
+    return with_intervals(limited, star_world, inputs, product_table(_predictions(star_world, truths)), cost)
 
 
 def _widened(estimate: SpectralEstimate, sd: Array) -> SpectralEstimate:
@@ -430,8 +430,8 @@ def reflectances(e: Evaluation) -> dict[str, tuple[Array, Array]]:
     (3.10).
     """
     world, scene = e.world, e.scenario.scene
-    shares = [shares_at(world, number) for number in range(len(e.stated.populations))]
-    light = e.light.rows(e.which)
+    shares = [object_shares(world, number) for number in range(len(e.stated.populations))]
+    light = e.light.rows(e.light_index)
     means = {name: world.mean[:, number : number + 1] for number, name in enumerate(e.stated.names["surface"])}
     surfaces = {s.name: 2 * (means[s.name],) for s in (*scene.classes, *scene.panels, *scene.sites)}
     full = {t.name: radiance.target_light(world, light, number)[:2] for number, t in enumerate(scene.targets)}
@@ -439,14 +439,14 @@ def reflectances(e: Evaluation) -> dict[str, tuple[Array, Array]]:
         host = means[scene.targets[t].host]
         parts = {scene.targets[t].name: (fills.weights * fills.values).sum(axis=1)}
         if placed is not None:
-            parts = {name: np.array([s.of(name) for s in placed[0]])[placed[1]] for name in full}
+            parts = {name: np.array([s.expected_share(name) for s in placed[0]])[placed[1]] for name in full}
         lit_parts = [(part[:, None, None], full[name]) for name, part in parts.items() if part.any()]
         pixel, sky = tuple(host + sum(f * (target[k] - host) for f, target in lit_parts) for k in (0, 1))  # (3.10)
         surfaces[population.name] = pixel, sky
     return surfaces
 
 
-def shares_at(world: World, number: int) -> tuple[list[Shares], Index] | None:
+def object_shares(world: World, number: int) -> tuple[list[Shares], Index] | None:
     """The distinct shares of an object's pixels at its place, and the number (U,) of those of each truth; None without
     a place, or in the printed form.
 
@@ -457,8 +457,8 @@ def shares_at(world: World, number: int) -> tuple[list[Shares], Index] | None:
     >>> square = {"geometry": {"side_m": 1.0, "gsd_m": 1.0, "psf_fwhm_pixels": 1.0, "pixels": "ranked", "n": 9}}
     >>> two = [{"name": name, "position_m": [0.0, x], "fill": square} for name, x in (("one", 0.0), ("two", 1.5))]
     >>> world = read_world(load_scenario("yellow-planks-asphalt").with_values({"scene.targets.0.subjects": two}))
-    >>> (alone,), _ = shares_at(with_values(world, {"fill.two": np.array([[0.3]])}), 0)
-    >>> (_, beside), _ = shares_at(with_values(world, {"fill.two": np.array([[0.5], [0.3]])}), 0)
+    >>> (alone,), _ = object_shares(with_values(world, {"fill.two": np.array([[0.3]])}), 0)
+    >>> (_, beside), _ = object_shares(with_values(world, {"fill.two": np.array([[0.5], [0.3]])}), 0)
     >>> bool(np.all(alone.mean == beside.mean))
     True
     """
@@ -474,9 +474,9 @@ def mean_spectra(e: Evaluation) -> dict[tuple[str, str], Array]:
     """(product, subject) -> (U or 1, B) mean spectra of all truths (3.7-3.20)."""
     names, spectra = e.stated.names, dict[tuple[str, str], Array]()
     without_c_r = {name: without_calibration_error(name) for name in names["surface"] if name not in names["target"]}
-    surfaces, light = e.once("reflectances", partial(reflectances, e)), e.light.rows(e.which)
+    surfaces, light = e.cached("reflectances", partial(reflectances, e)), e.light.rows(e.light_index)
     for name, (rho, _) in surfaces.items():
-        level = light.level(rho)
+        level = light.signal(rho)
         if not light.radiant or light.elm is not None:
             # Errors of the empirical line belong to measured reflectance, not to the predicted one.
             spectra["reflectance", name] = radiance.retrieved_reflectance(light.library_line, level)[:, 0]
@@ -486,7 +486,7 @@ def mean_spectra(e: Evaluation) -> dict[tuple[str, str], Array]:
             if white is not None and e.stated.is_of_space:
                 spectra["toa_reflectance", name] = radiance.toa_reflectance(level, white)[:, 0]
             if light.noise is not None and name in without_c_r:
-                parts = e.once(("noise", name), partial(light.noise.breakdown, level))
+                parts = e.cached(("noise", name), partial(light.noise.breakdown, level))
                 for key, variance in ((name, parts.total), (without_c_r[name], parts.detector)):
                     spectra["snr", key] = signal_to_noise(level, variance)[:, 0]
     return spectra
@@ -498,16 +498,16 @@ def spread_scales(e: Evaluation) -> dict[tuple[str, str], Array]:
 
     Noise in covariances measured on the image does not change with the model's.
     """
-    light, names, images = e.light.rows(e.which), e.stated.names["surface"], e.stated.of_pixels
+    light, names, images = e.light.rows(e.light_index), e.stated.names["surface"], e.stated.of_pixels
     image_surfaces = {name for name, of_image in zip(names, images, strict=True) if of_image}
     hosts = {population.name: e.stated.targets[t].host for t, _, population in e.stated.populations}
-    surfaces, slope = e.once("reflectances", partial(reflectances, e)), light.slope()
+    surfaces, slope = e.cached("reflectances", partial(reflectances, e)), light.direct_slope()
     with np.errstate(divide="ignore", invalid="ignore"):
         scales = {"radiance": slope, "reflectance": slope / light.library_line.gain}
         scales_by_key = {("signal", product): np.log(scale)[:, 0] for product, scale in scales.items()}
         for name, (rho, _) in surfaces.items():
             if light.noise is not None and hosts.get(name, name) not in image_surfaces:
-                parts = e.once(("noise", name), partial(light.noise.breakdown, light.level(rho)))
+                parts = e.cached(("noise", name), partial(light.noise.breakdown, light.signal(rho)))
                 scales_by_key["noise", name] = (parts.total / slope**2)[:, 0]
     return scales_by_key
 
@@ -519,7 +519,7 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
     errors: dict[tuple[str, str], dict[str, Errors]] = {}
     day = str(state.time_utc or "")[:10] if (state := world.stated.scenario.atmosphere) else ""
     for number, item in enumerate(inputs):
-        if find(world.stated, item.path).field in _NOT_IN_SPECTRA:
+        if find_path(world.stated, item.path).field in _NOT_IN_SPECTRA:
             continue
         least = _ROUNDING * float(np.abs(item.rows).max(initial=0.0))
         source = "field spectrum" if item.subject and item.kind == "surface" else item.name
@@ -527,8 +527,8 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
         scale = size, unit if state else unit.replace(RADIANCE_UNIT, ""), day * item.path.startswith("atmosphere.")
         for start in range(0, len(item.rows), _DIRECTIONS):
             chunk = range(start, min(start + _DIRECTIONS, len(item.rows)))
-            moved = with_truths(world, [item.direction(k, z) for z in (1.0, -1.0) for k in chunk])
-            parts = ((index, Evaluation(part)) for index, part in settled(moved))
+            moved = with_truths(world, [item.perturbation_along(k, z) for z in (1.0, -1.0) for k in chunk])
+            parts = ((index, Evaluation(part)) for index, part in group_by_files(moved))
             moved_values = joined(((index, mean_spectra(e) | spread_scales(e)) for index, e in parts), moved.size)
             for key, values in moved_values.items():
                 rows = 0.5 * (values[: len(chunk)] - values[len(chunk) :])
@@ -549,17 +549,17 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) ->
 
     ``errors`` : None: mean spectra alone, whose matrices are 0
     """
-    stated, world, v = e.stated, e.world.rows(np.array([u])), int(e.which[u])
+    stated, world, v = e.stated, e.world.rows(np.array([u])), int(e.light_index[u])
     data: dict[str, Any] = {p: {} for p in ("radiance", "snr", "reflectance", "toa_reflectance", "noise", "full_scale")}
     bands, populations = len(e.axis), [p.name for _, _, p in stated.populations]
-    means = {key: radiance.of_truth(values, u) for key, values in e.once("spectra", lambda: mean_spectra(e)).items()}
-    surfaces = e.once("reflectances", partial(reflectances, e))
+    means = {key: radiance.truth_row(values, u) for key, values in e.cached("spectra", lambda: mean_spectra(e)).items()}
+    surfaces = e.cached("reflectances", partial(reflectances, e))
     light = e.light.row(v)
     terms = light.terms if light.radiant else None
     notes = [f"formulation: {e.scenario.formulation}", *(terms.notes if terms else ()), *stated.notes]
     if not e.scenario.uncertainty.model_dump(exclude_defaults=True):
         notes.append("the scenario states no uncertainty: intervals and tests contain little but the collection's own")
-    levels = {name: light.level(radiance.of_truth(rho, u)[0]) for name, (rho, _) in surfaces.items()}
+    levels = {name: light.signal(radiance.truth_row(rho, u)[0]) for name, (rho, _) in surfaces.items()}
     if light.radiant and light.noise is not None:
         if light.noise.full_scale is not None:
             data["full_scale"] = {name: light.noise.full_scale_fraction(level) for name, level in levels.items()}
@@ -595,7 +595,7 @@ def spread_errors(errors: SpectralErrors, light: radiance.Light, product: str, s
     True
     """
     pair = [errors.get(key, {}) for key in (("signal", product), ("noise", subject))]
-    scale = light.slope() / (1.0 if product == "radiance" else light.library_line.gain)
+    scale = light.direct_slope() / (1.0 if product == "radiance" else light.library_line.gain)
     steps = ([entries[step].rows if step in entries else 0.0 for entries in pair] for step in sorted(set(chain(*pair))))
     return [np.stack(np.broadcast_arrays(signal, noise * scale**2)) for signal, noise in steps]
 
@@ -612,23 +612,23 @@ def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tu
 
     ``levels`` : subject -> (B,) mean signal
     """
-    world, v, bands = e.world.rows(np.array([u])), int(e.which[u]), np.arange(len(e.axis))
+    world, v, bands = e.world.rows(np.array([u])), int(e.light_index[u]), np.arange(len(e.axis))
     populations = [p.name for _, _, p in e.stated.populations]
     light, row = e.light.row(v), e.light.rows(np.array([v]))
     full = {o.name: radiance.target_light(world, row, i)[0][0, 0] for i, o in enumerate(e.stated.targets)}
     pixels = {
-        name: _mixed(world, row, full, populations.index(name)) if name in populations else _of_surface(world, name)
+        name: _mixed(world, row, full, populations.index(name)) if name in populations else _spreading(world, name)
         for name in levels
     }
-    pure = {**levels, **{name: light.level(reflectance) for name, reflectance in full.items()}}
-    average, line, slope = radiance.Background.of(e.at, bands).covariance(v), light.library_line, light.slope()
-    spreads: dict[tuple[str, str], Spread] = {}
-    for name, (_, sky) in e.once("reflectances", partial(reflectances, e)).items():
+    pure = {**levels, **{name: light.signal(reflectance) for name, reflectance in full.items()}}
+    average = radiance.Background.from_world(e.light_world, bands).covariance(v)
+    spreads, line, slope = dict[tuple[str, str], Spread](), light.library_line, light.direct_slope()
+    for name, (_, sky) in e.cached("reflectances", partial(reflectances, e)).items():
         covariance, gain, errors, parts = pixels[name]
         # The covariance of pixels of the image holds their noise.
-        image = [s for s in parts if e.stated.of_pixels[world.surface(s)]]
+        image = [s for s in parts if e.stated.of_pixels[world.surface_number(s)]]
         noise = light.noise_variance(levels[name]) - sum(parts[s] * light.noise_variance(pure[s]) for s in image)
-        at_sensor = light.pixel_covariance(noise, radiance.of_truth(sky, u)[0], covariance, average, gain)  # (3.11)
+        at_sensor = light.pixel_covariance(noise, radiance.truth_row(sky, u)[0], covariance, average, gain)  # (3.11)
         signal = {source: c * np.outer(slope, slope) for source, c in errors.items()}  # by the slope of the pixel
         retrieved = {source: radiance.retrieved_covariance(line, c) for source, c in signal.items()}
         spreads["radiance", name] = at_sensor, signal
@@ -636,9 +636,9 @@ def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tu
     return spreads
 
 
-def _of_surface(world: World, name: str) -> Spreading:
+def _spreading(world: World, name: str) -> Spreading:
     """The spreading of a surface in one truth; its gain is g_m for a class, else 1."""
-    classes, stretch = world.stated.classes, world.stretch[0, world.surface(name)]
+    classes, stretch = world.stated.classes, world.stretch[0, world.surface_number(name)]
     gain = float(world.column("class_gain")[0, classes.index(name)]) if name in classes else 1.0
     factor = gain * (stretch[0] ** 2 if stretch.size == 1 else np.outer(stretch, stretch))  # g_m of (3.11)
     covariance = world.stated.surfaces[name].covariance
@@ -650,15 +650,15 @@ def _mixed(world: World, light: radiance.Light, full: Mapping[str, Array], numbe
     stated, t = world.stated, world.stated.populations[number][0]
     target = stated.targets[t]
     shade = radiance.target_light(world, light, t)[2].ravel()
-    spread = _of_surface(world, target.name)[0] * np.outer(shade, shade)
-    host, (host_spread, gain, *_) = world.mean[0, world.surface(target.host)], _of_surface(world, target.host)
-    fills, fine = world.pixel_fills[number], world.column("fine_texture")[0, world.surface(target.name)]
+    spread = _spreading(world, target.name)[0] * np.outer(shade, shade)
+    host, (host_spread, gain, *_) = world.mean[0, world.surface_number(target.host)], _spreading(world, target.host)
+    fills, fine = world.pixel_fills[number], world.column("fine_texture")[0, world.surface_number(target.name)]
     of_target, of_host = radiance.fill_squares(fills.mean, fills.variance, fine)
     covariance = radiance.target_pixel_covariance(
         fills.mean, fills.variance, full[target.name], spread, host, host_spread,
         target_gain=float(world.column("target_gain")[0, t]), fine_texture=fine,
     )  # fmt: skip
-    errors = shares[0][shares[1][0]].errors(full, host, host_spread) if (shares := shares_at(world, number)) else {}
+    errors = shares[0][shares[1][0]].errors(full, host, host_spread) if (shares := object_shares(world, number)) else {}
     return covariance, gain, errors, {target.host: of_host, target.name: of_target}
 
 
@@ -723,9 +723,9 @@ def predict(
     EngineError : the atmosphere engine failed.
     """
     source = origins or Origins()
-    world = settled(with_truths(read_world(scenario, source), [truth or {}]))[0][1]
-    world = replace(world, stated=replace(world.stated, before=None))
-    inputs = inputs_of(world)
+    world = group_by_files(with_truths(read_world(scenario, source), [truth or {}]))[0][1]
+    world = replace(world, stated=replace(world.stated, reread_from=None))
+    inputs = uncertain_inputs(world)
     of_spectra = spectral_errors(world, [*inputs, *inputs_of_spectra(world)])
     products, changes = _prediction(world, of_spectra, inputs, objects, object_curves, source, truth or {})
     return with_uncertainty(products, world, inputs if truth is None else [], changes)
@@ -756,7 +756,7 @@ def _predictions(
 ) -> Iterator[PredictedProducts]:
     certain = world.stated.scenario.model_copy(update={"uncertainty": Uncertainty()})
     world = replace(world, stated=replace(world.stated, scenario=certain, cache={}))
-    remaining, errors = iter(truths), spectrum_errors(inputs_of(world))
+    remaining, errors = iter(truths), spectrum_errors(uncertain_inputs(world))
     while batch := list(islice(remaining, _BATCH)):
         by_number: dict[int, PredictedProducts] = {}
         for index, e in evaluations(with_truths(world, batch), errors):
@@ -792,15 +792,15 @@ def _prediction(
     stated, errors = world.stated, spectrum_errors(inputs)
     # Light comes first, then the direction along the filters: draws take their columns in the order of the inputs.
     is_lit = stated.scenario.atmosphere is not None
-    light = [i for i in inputs if is_lit and i.of_light and i.kind != "engine"]
+    light = [i for i in inputs if is_lit and i.is_light and i.kind != "engine"]
     # The empirical line cancels errors of the engine; those of a target's spectrum act along its filter.
-    scene = [i for i in inputs if not (is_lit and i.of_light) and (i.subject in stated.classes or i.kind != "surface")]
+    scene = [i for i in inputs if not (is_lit and i.is_light) and (i.subject in stated.classes or i.kind != "surface")]
     scene.sort(key=lambda i: not i.subject)
     light_moves, scene_moves = ([(i, k) for i in group for k in range(i.size)] for group in (light, scene))
     filter_direction = [None] if any(t.name in errors for t in stated.targets) else []
     moves = [*light_moves, *filter_direction, *scene_moves]
     signed = [(move, z) for z in (1.0, -1.0) for move in moves]
-    truths = [{}, *({} if move is None else move[0].direction(move[1], z) for move, z in signed)]
+    truths = [{}, *({} if move is None else move[0].perturbation_along(move[1], z) for move, z in signed)]
     worlds = with_truths(world, truths)
     parts = evaluations(worlds, errors, np.array([0.0, *(z * (move is None) for move, z in signed)]))
     e = parts[0][1]
@@ -829,7 +829,7 @@ def _distribution(world: World, number: int) -> PixelDistribution:
     parts = stated.surfaces[name].components
     if parts is None:
         return PixelDistribution(tail)
-    stretch = world.stretch[0, world.surface(name)]
+    stretch = world.stretch[0, world.surface_number(name)]
     clusters_of = parts.stretched(stretch * math.sqrt(float(world.column("class_gain")[0, number])))
     dof = [float(world.law_dof[0, j]) for j, law in enumerate(stated.laws) if law.owner == number]
     clusters = zip(clusters_of.weights.tolist(), clusters_of.offsets, clusters_of.covariances, dof, strict=True)

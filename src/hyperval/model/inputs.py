@@ -16,7 +16,7 @@ import numpy as np
 from hyperval.data import Array, Mask
 from hyperval.errors import needed, refuse
 from hyperval.model.stated import SurfaceStatistics, Truth, band_correlation, band_error_covariance, error_of_mean
-from hyperval.model.world import NEUTRAL, NOT_WITHOUT_LIGHT, PATHS, SHIFT, World, find, fits, value_at
+from hyperval.model.world import NEUTRAL, NOT_WITHOUT_LIGHT, PATHS, SHIFT, World, find_path, matches_path, value_at
 from hyperval.scenario import SpectralForm, SpectrumUncertainty
 from hyperval.sensor.specification import Sensor
 from hyperval.settings import path_parts
@@ -38,7 +38,7 @@ def error_rows(sd: Array, form: SpectralForm, axis: SpectralAxis, sensor: Sensor
     if form.correlation == "random":
         return np.asarray(np.diag(u)[u > 0])
     if form.correlation == "arms":
-        rows = np.where(_arms(axis, sensor), u, 0.0)
+        rows = np.where(_arm_bands(axis, sensor), u, 0.0)
         rows = rows[np.any(rows > 0, axis=1)]
         return np.asarray(rows[np.argsort(-(rows**2).sum(axis=1), kind="stable")])
     return np.asarray(u[None, :])
@@ -50,18 +50,18 @@ def covariance_directions(covariance: Array) -> Array:
     values, vectors = np.clip(values[::-1], 0.0, None), vectors[:, ::-1]
     if values[0] <= 0.0:
         return np.zeros((0, covariance.shape[0]))
-    keep = leading(values, _NEGLIGIBLE)
+    keep = leading_count(values, _NEGLIGIBLE)
     rows = (np.sqrt(values[:keep]) * vectors[:, :keep]).T
     return np.asarray(rows * np.where(rows.sum(axis=1) < 0, -1.0, 1.0)[:, None])
 
 
-def leading(variances: Array, left_out: float) -> int:
+def leading_count(variances: Array, left_out: float) -> int:
     """Number of leading variances (falling) that leave out no more than a part of their sum."""
     remainder = 1.0 - np.cumsum(variances) / variances.sum()
     return int(np.searchsorted(-remainder, -left_out)) + 1
 
 
-def form_in_words(form: SpectralForm) -> str:
+def correlation_words(form: SpectralForm) -> str:
     """The correlation form in words."""
     if form.correlation_nm is not None:
         return f"correlation length {form.correlation_nm:.4g} nm"
@@ -69,7 +69,7 @@ def form_in_words(form: SpectralForm) -> str:
     return words.get(form.correlation or "", "systematic: one error for all bands")
 
 
-def _arms(axis: SpectralAxis, sensor: Sensor | None) -> Mask:
+def _arm_bands(axis: SpectralAxis, sensor: Sensor | None) -> Mask:
     """(K, B) bands of each arm that are in no earlier one; bands outside all arms share one error."""
     w, arms = axis.centre_nm, sensor.specification.arms if sensor is not None else ()
     refuse(not arms, "uncertainty.arms")
@@ -142,7 +142,7 @@ class UncertainInput:
         """Number of directions whose effects are computed one by one; the rest hold a millionth of the variance."""
         variances = (self.rows**2).sum(axis=1)
         falling = np.all(np.diff(variances) <= 1e-12 * variances[:1]) and np.any(variances)
-        return min(leading(variances, _TRUNCATED), len(self.rows)) if falling else len(self.rows)
+        return min(leading_count(variances, _TRUNCATED), len(self.rows)) if falling else len(self.rows)
 
     @property
     def subject(self) -> str:
@@ -166,20 +166,20 @@ class UncertainInput:
             return float(np.nanmedian(100.0 * sd / np.abs(self.nominal))), "%"
 
     @property
-    def of_light(self) -> bool:
+    def is_light(self) -> bool:
         """Whether it moves light, sensor or empirical line, and no surface, fill or band."""
         return path_parts(self.path)[0] in ("atmosphere", "light", "sensor", "line") and self.path != SHIFT
 
-    def along(self, c: Array) -> dict[str, Any]:
+    def perturbation(self, c: Array) -> dict[str, Any]:
         """The truth at factors (K,) of the directions."""
         return {self.path: np.clip(self.nominal + c @ self.rows[: len(c)], self.low, self.high)}
 
-    def direction(self, k: int, z: float) -> dict[str, Any]:
+    def perturbation_along(self, k: int, z: float) -> dict[str, Any]:
         """The truth ``z`` units along direction ``k``, the rest as stated."""
-        return self.along(z * np.eye(len(self.rows))[k])
+        return self.perturbation(z * np.eye(len(self.rows))[k])
 
 
-def moved_together(moves: Iterable[tuple[UncertainInput, Truth]]) -> dict[str, Any]:
+def add_perturbations(moves: Iterable[tuple[UncertainInput, Truth]]) -> dict[str, Any]:
     """The truth in which several inputs are moved at once: changes at one path add up."""
     moved: dict[str, Any] = {}
     for item, truth in moves:
@@ -188,10 +188,10 @@ def moved_together(moves: Iterable[tuple[UncertainInput, Truth]]) -> dict[str, A
     return moved
 
 
-def drawn_truths(inputs: Sequence[UncertainInput], count: int, seed: int) -> list[dict[str, Any]]:
+def draw_truths(inputs: Sequence[UncertainInput], count: int, seed: int) -> list[dict[str, Any]]:
     """Truths with every input drawn from its distribution, independently of the others."""
     rng = np.random.default_rng(seed)
-    return [moved_together((i, i.along(rng.standard_normal(i.size))) for i in inputs) for _ in range(count)]
+    return [add_perturbations((i, i.perturbation(rng.standard_normal(i.size))) for i in inputs) for _ in range(count)]
 
 
 def number_input(
@@ -202,7 +202,7 @@ def number_input(
 
     ``spread`` : standard uncertainty of each;  ``rows`` : (K, n) directions in its place
     """
-    entry = find(world.stated, path)
+    entry = find_path(world.stated, path)
     nominal = np.asarray(value_at(world, path)[0], dtype=float).reshape(-1)
     if rows is None:
         rows = np.broadcast_to(spread, nominal.shape)[None, :]
@@ -225,7 +225,7 @@ def spectral_input(
     """An input over wavelength with standard uncertainty ``sd`` (B,) and the correlation of ``form``."""
     axis = world.stated.axis
     rows = error_rows(np.broadcast_to(sd, len(axis)), form, axis, world.stated.sensor)
-    return number_input(world, name, kind, path, 0.0, words=form_in_words(form), rows=rows)
+    return number_input(world, name, kind, path, 0.0, words=correlation_words(form), rows=rows)
 
 
 TABLE, INTERPOLATION_NM = "interpolation of the table", 300.0  # source in the budget; its correlation length
@@ -234,7 +234,7 @@ ENGINE, ENGINE_LINES, ENGINE_PATH = (
 )  # fmt: skip
 
 
-def inputs_of(world: World) -> list[UncertainInput]:
+def uncertain_inputs(world: World) -> list[UncertainInput]:
     """The uncertain inputs in the order in which budgets list them: light, surfaces, sensor.
 
     Raises
@@ -251,7 +251,7 @@ def _stated_inputs(world: World) -> Iterator[UncertainInput]:
     scenario = world.stated.scenario
     for path, entry in PATHS.items():
         form = getattr(scenario.uncertainty, entry.stated) if entry.stated else None
-        if form is None or (scenario.atmosphere is None and any(fits(p, path) for p in NOT_WITHOUT_LIGHT)):
+        if form is None or (scenario.atmosphere is None and any(matches_path(p, path) for p in NOT_WITHOUT_LIGHT)):
             continue
         if isinstance(form, SpectralForm):
             sd = form.relative if hasattr(form, "relative") else getattr(form, "absolute", 0.0)
@@ -286,9 +286,9 @@ def spectrum_inputs(world: World) -> Iterator[UncertainInput]:
         subject = item.subject
         number[subject] = number.get(subject, 0) + 1
         name = field_spectrum_of(subject) + ("" if number[subject] == 1 else f" ({number[subject]})")
-        surface = replace(world.stated.surfaces[subject], mean=world.mean[0, world.surface(subject)])
+        surface = replace(world.stated.surfaces[subject], mean=world.mean[0, world.surface_number(subject)])
         rows, path = spectrum_error_rows(item, surface, world.stated.sensor), f"surfaces.[{subject}].mean"
-        yield number_input(world, name, "surface", path, 0.0, words=form_in_words(item), rows=rows)
+        yield number_input(world, name, "surface", path, 0.0, words=correlation_words(item), rows=rows)
     for subject, surface in world.stated.surfaces.items():
         if subject not in number and surface.mean_error is not None:
             rows = covariance_directions(np.nan_to_num(surface.mean_error))

@@ -56,7 +56,7 @@ def clopper_pearson(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0
     True
     """
     k, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
-    _check(k, n)
+    _check_counts(k, n)
     refuse(not 0.0 < level < 1.0, "interval.level", level=level)
     tail = (1.0 - level) / 2.0
     # The binomial tail sums are incomplete beta functions; the end counts have their limit at 0 or 1.
@@ -114,7 +114,7 @@ def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike) -> tuple[Array, Arr
     0.530 0.902
     """
     k, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
-    _check(k, n)
+    _check_counts(k, n)
     tails = np.reshape([_TAIL, 1.0 - _TAIL], (2,) + (1,) * k.ndim)
     p = _beta_quantile(k + 0.5, n - k + 0.5, tails)
     for _ in range(6):  # by Newton: Jeffreys' limits lie so near that the last step is below 1e-15
@@ -146,7 +146,7 @@ def bounded_mean_limits(values: npt.ArrayLike, level: float = 0.95) -> tuple[flo
     return float(1.0 - upper[0] - steps @ (1.0 - v)), float(upper[0] + steps @ v[::-1])
 
 
-def _check(k: Array, n: Array) -> None:
+def _check_counts(k: Array, n: Array) -> None:
     refuse(not (np.all(np.isfinite(k)) and np.all(np.isfinite(n)) and np.all(n >= 1)), "interval.trials")
     refuse(np.any(k < 0) or np.any(k > n), "interval.count")
 

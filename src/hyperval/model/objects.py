@@ -26,11 +26,11 @@ from hyperval.model.fill import (
     PHASES,
     fill_distribution,
     fills_of_objects,
-    pixels_of_object,
+    object_pixel_count,
     population_fill,
     shared_pixel_fills,
 )
-from hyperval.model.radiance import of_truth, retrieved_reflectance, target_light, target_pixel_reflectance
+from hyperval.model.radiance import retrieved_reflectance, target_light, target_pixel_reflectance, truth_row
 from hyperval.model.roc import Host
 from hyperval.model.world import Populations, World
 from hyperval.products import ObjectScores
@@ -66,20 +66,20 @@ def input_draws(e: Evaluation, steps: int) -> InputDraws:
     if not (steps or rows or e.scenario.uncertainty.position_m):
         return InputDraws({}, np.zeros((1, 0)))
     rng = np.random.default_rng([e.scenario.processing.seed, 7])
-    spectra = {name: _normal(rng, error_rows.T @ error_rows) for name, error_rows in rows.items()}
-    return InputDraws(spectra, _pairs(rng, steps))
+    spectra = {name: _normal_draws(rng, error_rows.T @ error_rows) for name, error_rows in rows.items()}
+    return InputDraws(spectra, _antithetic_normals(rng, steps))
 
 
-def _pairs(rng: np.random.Generator, columns: int) -> Array:
+def _antithetic_normals(rng: np.random.Generator, columns: int) -> Array:
     """(ROWS, columns) standard normal numbers in pairs of opposite sign."""
     half = rng.standard_normal((ROWS // 2, columns))
     return np.concatenate([half, -half])
 
 
-def _normal(rng: np.random.Generator, covariance: Array) -> Array:
+def _normal_draws(rng: np.random.Generator, covariance: Array) -> Array:
     """(ROWS, F) draws of a normal vector."""
     values, vectors = np.linalg.eigh((covariance + covariance.T) / 2.0)
-    return np.asarray(_pairs(rng, values.size) @ (vectors * np.sqrt(np.clip(values, 0.0, None))).T)
+    return np.asarray(_antithetic_normals(rng, values.size) @ (vectors * np.sqrt(np.clip(values, 0.0, None))).T)
 
 
 Key = tuple[str, str]
@@ -103,7 +103,7 @@ def response_nodes(parts: Parts, target: int, detector: str, holds: int) -> Arra
     moments = np.empty((2, sum(index.size for index, _ in parts), FILL_NODES.size))
     for index, part in parts:
         rows, response = part.responses(target, detector, holds)
-        gain = part.world.of_target("target_gain", holds)
+        gain = part.world.target_column("target_gain", holds)
         moments[:, index] = response.means[rows], response.variances(gain, rows)
     return moments
 
@@ -142,7 +142,7 @@ def object_scores(world: World, parts: Parts, truths: Index, draws: int | None =
         subjects = [(truth[i][1], *(s for _, s in truth if s.name in neighbour_names)) for truth in by_truth]
         stated_subjects = subjects[which[u]]
         _, shares, dof = e.host_laws(number)
-        laws = tuple(zip(shares.tolist(), of_truth(dof, u).tolist(), strict=True))
+        laws = tuple(zip(shares.tolist(), truth_row(dof, u).tolist(), strict=True))
         laws = () if laws == ((1.0, math.inf),) else laws  # one normal law
         count = (draws or ROWS * COLUMNS) if certain else COLUMNS
         arguments = stated_subjects, position_m, thesis, seed, count, laws, len(linear)
@@ -166,7 +166,7 @@ def object_scores(world: World, parts: Parts, truths: Index, draws: int | None =
             key = repr((arguments, [subjects[w] for w in fills])), name, b"".join(a.tobytes() for a in sources)
             change = [_spectrum_change(e, u, number, name, o, drawn) for o in (number, *neighbours)]
             make = partial(_greatest_scores, response, full, change, moved, host, drawn, numbers, noise)
-            scores[population.name, name] = e.once(key, make)
+            scores[population.name, name] = e.cached(key, make)
     return scores
 
 
@@ -280,7 +280,7 @@ def _fills_at_places(
         fills = population_fill(stated.fill, thesis).values[:, None] + step
         return fills, np.zeros((*fills.shape, 0))
     if geometry is None or population.position_m is None:
-        fills = fills_of_objects(population.fill, pixels_of_object(stated.fill))
+        fills = fills_of_objects(population.fill, object_pixel_count(stated.fill))
         return fills, np.zeros((*fills.shape, 0))
     shifts, phases = None, 1 if geometry.phase == "centred" else PHASES
     if position_m is not None:  # the same in all truths
@@ -291,7 +291,7 @@ def _fills_at_places(
         neighbour, position = subject.fill.geometry, subject.position_m or ()
         assert neighbour is not None  # noqa: S101 - as neighbours_of has chosen them
         offsets.append((neighbour, np.subtract(position, population.position_m) / geometry.gsd_m))
-    return shared_pixel_fills(geometry, pixels_of_object(stated.fill), offsets, shifts if offsets else None)
+    return shared_pixel_fills(geometry, object_pixel_count(stated.fill), offsets, shifts if offsets else None)
 
 
 def _half_diagonal(geometry: Geometry) -> float:
@@ -332,7 +332,7 @@ def _greatest_scores(
     if noise is None or host is None:
         return ObjectScores((mean + sd[numbers.places] * numbers.host).max(axis=2))
     flat, places, laws = sd.reshape(1, -1), numbers.places, []
-    for _, shift, normal, tailed, _ in host.parts(np.zeros(flat.shape), flat):
+    for _, shift, normal, tailed, _ in host.components(np.zeros(flat.shape), flat):
         laws.append([a.reshape(sd.shape) for a in (shift, np.sqrt(tailed), np.sqrt(normal))])
     which = 0 if numbers.law is None else numbers.law
     shift, tailed, normal = (np.array(a)[which, places[..., None], range(sd.shape[1])] for a in zip(*laws, strict=True))
@@ -353,12 +353,12 @@ def _mean_draws(mean: Array, parts: Array, effect: Array, places: Index) -> Arra
 
 def _spectrum_change(e: Evaluation, u: int, looks_for: int, detector: str, holds: int, drawn: InputDraws) -> Array:
     """(S,) change of the score of a pixel full of a target, by the errors of its spectrum under its own light."""
-    name, v, of_target = e.targets[holds].name, int(e.which[u]), e.world.of_target
+    name, v, of_target = e.targets[holds].name, int(e.light_index[u]), e.world.target_column
     if name not in drawn.spectra:
         return np.zeros(len(drawn.steps))
-    shade = e.view.light.row(v).shade(float(of_target("beam", holds)[u]), float(of_target("sky_view", holds)[u]))
+    shade = e.retrieval.light.row(v).shading(float(of_target("beam", holds)[u]), float(of_target("sky_view", holds)[u]))
     weights = e.filters[e.targets[looks_for].name, detector][0].weights[v]
-    return np.asarray(drawn.spectra[name] @ (weights * of_truth(e.view.slope, v) * shade))
+    return np.asarray(drawn.spectra[name] @ (weights * truth_row(e.retrieval.slope, v) * shade))
 
 
 def expected_scores(e: Evaluation) -> dict[tuple[str, str, str], float]:
@@ -368,14 +368,14 @@ def expected_scores(e: Evaluation) -> dict[tuple[str, str, str], float]:
     score is linear in the reflectance: the mean score of a population is that of its mean fill.  A surface whose
     spectrum lacks bands of the detector has none.
     """
-    v, truth, scene = int(e.which[0]), e.world.rows(np.array([0])), e.scenario.scene
+    v, truth, scene = int(e.light_index[0]), e.world.rows(np.array([0])), e.scenario.scene
     pure = (*scene.classes, *scene.panels, *scene.sites)
-    means = {s.name: truth.mean[0, truth.surface(s.name), e.bands] for s in pure}
-    view, light = e.view.light.row(v), e.light.rows(np.array([v]))
+    means = {s.name: truth.mean[0, truth.surface_number(s.name), e.bands] for s in pure}
+    view, light = e.retrieval.light.row(v), e.light.rows(np.array([v]))
     for number, (t, _, population) in enumerate(e.stated.populations):
         lit, fill = target_light(truth, light, t)[0][0, 0, e.bands], truth.pixel_fills[number].mean
         means[population.name] = target_pixel_reflectance(fill, lit, means[e.targets[t].host])
-    reflectance = retrieved_reflectance(view.line(), view.level(np.array(list(means.values()))))
+    reflectance = retrieved_reflectance(view.empirical_line(), view.signal(np.array(list(means.values()))))
     table: dict[tuple[str, str, str], float] = {}
     for (looks_for, detector), (filters, _, _) in e.filters.items():
         scores = reflectance @ filters.weights[v] - filters.offset[v]
@@ -404,7 +404,7 @@ class Shares:
     mean: Array
     covariance: Array
 
-    def of(self, target: str) -> float:
+    def expected_share(self, target: str) -> float:
         """Expected share of the surface of a target."""
         return float(sum(self.mean[j] for j, name in enumerate(self.names) if name == target))
 
@@ -436,7 +436,7 @@ def shares_of(
     >>> geometry = {"side_m": 0.25, "gsd_m": 1.0, "psf_fwhm_pixels": 1.0, "pixels": "touched"}  # 1, 2 or 4 pixels
     >>> plank = TargetSubject(name="plank", position_m=(0.0, 0.0), fill={"geometry": geometry})
     >>> expected = np.nanmean(fills_of_objects(plank.fill), axis=1).mean()
-    >>> bool(abs(shares_of("plank", plank, (), None, 0).of("plank") - expected) < 1e-4)
+    >>> bool(abs(shares_of("plank", plank, (), None, 0).expected_share("plank") - expected) < 1e-4)
     True
     """
     adjacent = neighbours_of(population, populations)

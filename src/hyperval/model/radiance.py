@@ -335,28 +335,28 @@ def darkest_level(fractions: npt.ArrayLike, means: npt.ArrayLike, sds: npt.Array
 T = TypeVar("T")
 
 
-def cut(covariance: Array, bands: Index) -> Array:
+def submatrix(covariance: Array, bands: Index) -> Array:
     """The rows and columns ``bands`` of a covariance; the matrix itself where they are all."""
     return covariance if bands.size == covariance.shape[0] else covariance[np.ix_(bands, bands)]
 
 
-def at_rows(values: Array, index: Index) -> Array:
+def select_rows(values: Array, index: Index) -> Array:
     """Rows of values (U or 1, ...); a shared row stays."""
     return np.asarray(values[index]) if len(values) > 1 else values
 
 
 def _rows_of(value: T, arrays: Sequence[str], index: Index) -> T:
     """A dataclass with its ``arrays`` (U or 1, ...) at some truths."""
-    changes: dict[str, Any] = {name: at_rows(getattr(value, name), index) for name in arrays}
+    changes: dict[str, Any] = {name: select_rows(getattr(value, name), index) for name in arrays}
     return replace(value, **changes)  # type: ignore[type-var]
 
 
-def of_truth(values: Array, u: int) -> Array:
+def truth_row(values: Array, u: int) -> Array:
     """The row of one truth, of values (U or 1, ...)."""
     return np.asarray(values[u if len(values) > 1 else 0])
 
 
-def stacked(models: Sequence[NoiseModel], bands: int) -> NoiseModel:
+def stacked_noise(models: Sequence[NoiseModel], bands: int) -> NoiseModel:
     """U noise models as one whose arrays are (U, 1, B), so that levels (U, S, B) go through its formulas.
 
     Fields that are the same in all stay: numbers, words, arrays that are one object.
@@ -415,23 +415,23 @@ class Light:
     panels: tuple[Array | float, Array | float] = (1.0, 1.0)
     retrieval: tuple[Array | float, Array | float] = (1.0, 0.0)
 
-    def at(self, bands: Index) -> Light:
-        """On some bands alone."""
+    def on_bands(self, bands: Index) -> Light:
+        """This light on some bands alone."""
         return _on_arrays(self, lambda x: x[..., bands] if x.shape[-1] > 1 else x)
 
     def rows(self, index: Index) -> Light:
-        """Of some truths."""
-        return _on_arrays(self, lambda x: at_rows(x, index) if x.ndim == 3 else x)
+        """Those of some truths."""
+        return _on_arrays(self, lambda x: select_rows(x, index) if x.ndim == 3 else x)
 
     def row(self, number: int) -> Light:
-        """Of one truth, its arrays (B,)."""
-        return _on_arrays(self, lambda x: of_truth(x, number)[0] if x.ndim == 3 else x)
+        """The light of one truth, its arrays (B,)."""
+        return _on_arrays(self, lambda x: truth_row(x, number)[0] if x.ndim == 3 else x)
 
-    def level(self, reflectance: npt.ArrayLike) -> Array:
+    def signal(self, reflectance: npt.ArrayLike) -> Array:
         """Mean signal (..., B) of a reflectance (..., B) (3.7)."""
         return mean_radiance(self.terms, np.asarray(reflectance, dtype=float), self.average, self.formulation)
 
-    def shade(self, beam: float | Array, sky_view: float | Array) -> Array:
+    def shading(self, beam: float | Array, sky_view: float | Array) -> Array:
         """(..., B) light on a target over that in the open (ground term of 3.7); (1,) without shade.
 
         Raises
@@ -456,7 +456,7 @@ class Light:
         (3.11), and (U, 1, F) light over that in the open, (1,) without shade
         """
         target, beam, sky = mean[:, None, :], beam[:, None, None], sky_view[:, None, None]
-        factor = self.shade(beam, sky)
+        factor = self.shading(beam, sky)
         return target * factor, target * sky, factor
 
     def pixel_covariance(
@@ -478,7 +478,7 @@ class Light:
         """Noise variance (..., B) at a signal level (3.16-3.19)."""
         return np.zeros_like(level) if self.noise is None else self.noise.variance(level)
 
-    def slope(self) -> Array:
+    def direct_slope(self) -> Array:
         """(..., B) change of the signal per change of the pixel's reflectance (D_A of 3.11)."""
         return direct_slope(self.terms, self.average, self.formulation)
 
@@ -486,37 +486,37 @@ class Light:
         """(..., B) change of the signal per change of the surroundings (D_B of 3.11)."""
         return adjacency_slope(self.terms, reflectance, self.average, self.formulation)
 
-    def lit(self) -> Mask:
+    def lit_bands(self) -> Mask:
         """(..., B) True where ground-reflected light reaches the sensor."""
         return np.asarray(self.terms.direct > 1e-9 * self.terms.direct.max(axis=-1, keepdims=True))
 
-    def line(self) -> TwoPanelLine:
+    def empirical_line(self) -> TwoPanelLine:
         """The empirical line (before 3.21); gain 1 and offset 0 where detection runs on the signal itself.
 
         Bands without light have NaN.
         """
-        (gain, offset), line = self.retrieval, self._line_of(*self.panels)
+        (gain, offset), line = self.retrieval, self._panel_line(*self.panels)
         k = line.gain / gain  # (L - b) / k of the line of the panels is gain rho + offset
         return TwoPanelLine(k, line.offset - k * offset)
 
     @cached_property
     def library_line(self) -> TwoPanelLine:
         """The line of panels of stated reflectance, from library spectra to the image's units."""
-        return self._line_of(1.0, 1.0)
+        return self._panel_line(1.0, 1.0)
 
-    def _line_of(self, dark_panel: float | Array, bright_panel: float | Array) -> TwoPanelLine:
+    def _panel_line(self, dark_panel: float | Array, bright_panel: float | Array) -> TwoPanelLine:
         """The line of panels with these factors on their assumed reflectances."""
         if self.elm is None:
             return TwoPanelLine(np.ones(self.average.shape), np.zeros(self.average.shape))
         bands = self.average.shape[-1]
         low, high = self.elm.reflectances
-        dark = self.level(np.full(bands, low) * dark_panel) if self.dark is None else self.dark
-        lit, bright = self.lit(), self.level(np.full(bands, high) * bright_panel)
+        dark = self.signal(np.full(bands, low) * dark_panel) if self.dark is None else self.dark
+        lit, bright = self.lit_bands(), self.signal(np.full(bands, high) * bright_panel)
         line = two_panel_line(np.where(lit, dark, 0.0), np.where(lit, bright, 1.0), low, high)
         return TwoPanelLine(np.where(lit, line.gain, np.nan), np.where(lit, line.offset, np.nan))
 
 
-def light_of(world: World) -> Light:
+def scene_light(world: World) -> Light:
     """L' = g [p e L_a + q e (A rho + B rho_ave) / (1 - S rho_ave)] + o of all truths, rho_ave by (3.8).
 
     Factors p of the path, q of the ground, e of the irradiance and the recorded gain g and offset o go into L_a, A, B.
@@ -550,7 +550,7 @@ def light_of(world: World) -> Light:
     models, which = world.sensor_noise
     noise = None
     if models:
-        noise = _on_arrays(stacked(models, len(stated.axis)), lambda x: x[which] if x.ndim == 3 else x)
+        noise = _on_arrays(stacked_noise(models, len(stated.axis)), lambda x: x[which] if x.ndim == 3 else x)
         noise, fixed = with_signal(noise, factor("electrons")), noise.fixed_noise * factor("fixed_noise")
         noise = replace(noise, fixed_noise=fixed, gain=g, offset=offset, factor=factor("noise"))
     elm = processing.elm if isinstance(processing.elm, ElmPanels) or (radiant and processing.elm != "none") else None
@@ -560,27 +560,27 @@ def light_of(world: World) -> Light:
     )  # fmt: skip
     if not isinstance(elm, DarkestPixel):
         return light
-    classes = Background.of(world, np.arange(len(stated.axis)))
-    return replace(light, dark=_darkest(light, classes, elm.darkest_pixel))
+    classes = Background.from_world(world, np.arange(len(stated.axis)))
+    return replace(light, dark=_darkest_radiance(light, classes, elm.darkest_pixel))
 
 
 def target_light(world: World, light: Light, target: int) -> tuple[Array, Array, Array]:
     """A target under its own light, as :meth:`Light.surface` returns it."""
-    number = world.surface(world.stated.targets[target].name)
+    number = world.surface_number(world.stated.targets[target].name)
     return light.surface(world.mean[:, number], world.column("beam")[:, target], world.column("sky_view")[:, target])
 
 
-def _darkest(light: Light, classes: Background, pixels: int) -> Array:
+def _darkest_radiance(light: Light, classes: Background, pixels: int) -> Array:
     """(U or 1, 1, B) radiance of the darkest of so many of the scene's pixels (before 3.21)."""
-    level, gain = light.level(classes.means), classes.gain[:, :, None]
+    level, gain, scene = light.signal(classes.means), classes.gain[:, :, None], classes.scene_variances()[:, None, :]
     noise = np.where(classes.of_pixels[:, None], 0.0, light.noise_variance(level))
-    variance = gain * classes.variances() * light.slope() ** 2 + noise
-    variance = variance + gain * light.kappa * classes.around()[:, None, :] * light.adjacency_slope(classes.means) ** 2
+    variance = gain * classes.class_variances() * light.direct_slope() ** 2 + noise
+    variance = variance + gain * light.kappa * scene * light.adjacency_slope(classes.means) ** 2
     fractions = np.broadcast_to(classes.fraction, variance.shape[:-1])
     return darkest_level(fractions, level, np.sqrt(variance), pixels)[..., None, :]
 
 
-def latest(cache: dict[str, tuple[bytes, Array]], name: str, key: bytes, make: Callable[[], Array]) -> Array:
+def cached_matrix(cache: dict[str, tuple[bytes, Array]], name: str, key: bytes, make: Callable[[], Array]) -> Array:
     """A matrix, cached until its key changes."""
     if name not in cache or cache[name][0] != key:
         cache[name] = key, make()
@@ -591,22 +591,22 @@ def latest(cache: dict[str, tuple[bytes, Array]], name: str, key: bytes, make: C
 # numbers, half the memory at the speed of full matrices, combined element by element.
 
 
-def packed(matrix: Array) -> Array:
-    """(P,) of a symmetric matrix (F, F)."""
+def pack(matrix: Array) -> Array:
+    """(P,) packed form of a symmetric matrix (F, F)."""
     values, _ = dtrttf(matrix.T, uplo="L")  # the transpose of C order is Fortran's, and the matrix is symmetric
     return np.asarray(values)
 
 
-def unpacked(values: Array, size: int) -> Array:
+def unpack(values: Array, size: int) -> Array:
     """(F, F) the full matrix."""
     lower = np.tril(dtfttr(size, values, uplo="L")[0])
     return np.asarray(lower + np.tril(lower, -1).T)
 
 
 @lru_cache(maxsize=32)
-def diagonal_places(size: int) -> Index:
+def packed_diagonal(size: int) -> Index:
     """(F,) positions of the diagonal."""
-    return np.argsort(packed(np.diag(np.arange(1.0, size + 1.0))), kind="stable")[-size:]
+    return np.argsort(pack(np.diag(np.arange(1.0, size + 1.0))), kind="stable")[-size:]
 
 
 def add_products(values: Array, rows: Array, *, fresh: bool = False) -> Array:
@@ -641,16 +641,16 @@ class Background:
     cache: dict[Any, Any]
 
     @staticmethod
-    def of(world: World, bands: Index) -> Background:
-        """Of a world."""
+    def from_world(world: World, bands: Index) -> Background:
+        """The classes of a world on some bands."""
         stated, classes = world.stated, len(world.stated.classes)
 
         def on_bands() -> tuple[tuple[Array, ...], tuple[Law, ...], dict[Any, Any]]:
-            covariances = tuple(cut(stated.surfaces[n].covariance, bands) for n in stated.classes)
-            laws = (x._replace(offset=x.offset[bands], covariance=cut(x.covariance, bands)) for x in stated.laws)
+            covariances = tuple(submatrix(stated.surfaces[n].covariance, bands) for n in stated.classes)
+            laws = (x._replace(offset=x.offset[bands], covariance=submatrix(x.covariance, bands)) for x in stated.laws)
             return covariances, tuple(laws), {}
 
-        covariances, laws, cache = stated.once(("background", bands.tobytes()), on_bands)
+        covariances, laws, cache = stated.cached(("background", bands.tobytes()), on_bands)
         means = world.surroundings[1]
         between = means - average_reflectance(world.fraction, means)[:, None, :]
         stretch = world.stretch[:, :classes]
@@ -661,50 +661,50 @@ class Background:
         )  # fmt: skip
 
     def rows(self, index: Index) -> Background:
-        """Of some truths."""
+        """Those of some truths."""
         return _rows_of(self, ("fraction", "gain", "means", "between", "stretch", "law_fraction"), index)
 
-    def mixed(self, weights: Array, u: int = 0) -> Array:
-        """(P,) sum over classes of w_m Sigma_m of one truth, packed; cached."""
-        stretch = of_truth(self.stretch, u)
-        stack = latest(self.cache, "stack", b"", lambda: np.array([packed(c) for c in self.covariances]))
+    def within_class(self, weights: Array, u: int = 0) -> Array:
+        """(P,) within-class covariance, sum over classes of w_m Sigma_m, of one truth, packed; cached."""
+        stretch = truth_row(self.stretch, u)
+        stack = cached_matrix(self.cache, "stack", b"", lambda: np.array([pack(c) for c in self.covariances]))
 
         def mixture() -> Array:
             if stretch.shape[1] == 1:
                 return np.asarray((weights * stretch[:, 0] ** 2) @ stack)
             terms = zip(weights, stretch, stack, strict=True)
-            return np.asarray(sum(w * packed(np.outer(g, g)) * c for w, g, c in terms))
+            return np.asarray(sum(w * pack(np.outer(g, g)) * c for w, g, c in terms))
 
-        return latest(self.cache, "classes", weights.tobytes() + stretch.tobytes(), mixture)
+        return cached_matrix(self.cache, "classes", weights.tobytes() + stretch.tobytes(), mixture)
 
-    def surroundings(self, u: int = 0) -> Array:
+    def packed_covariance(self, u: int = 0) -> Array:
         """(P,) covariance of a pixel drawn from the whole scene, packed; cached.
 
         Sigma_ave = sum f_m [Sigma_m + (rho_m - rho_ave)(rho_m - rho_ave)^T]: within the classes and between them.
         """
-        f, between = (of_truth(x, u) for x in (self.fraction, self.between))
+        f, between = (truth_row(x, u) for x in (self.fraction, self.between))
 
         def mixture_covariance() -> Array:
-            return add_products(self.mixed(f, u).copy(), np.sqrt(f)[:, None] * between)  # Sigma_ave of (3.11)
+            return add_products(self.within_class(f, u).copy(), np.sqrt(f)[:, None] * between)  # Sigma_ave of (3.11)
 
-        return latest(self.cache, "around", self.key(u), mixture_covariance)
+        return cached_matrix(self.cache, "around", self.cache_key(u), mixture_covariance)
 
     def covariance(self, u: int = 0) -> Array:
         """(F, F) Sigma_ave of (3.11), in full."""
-        make = partial(unpacked, self.surroundings(u), self.means.shape[-1])
-        return latest(self.cache, "covariance", self.key(u), make)
+        make = partial(unpack, self.packed_covariance(u), self.means.shape[-1])
+        return cached_matrix(self.cache, "covariance", self.cache_key(u), make)
 
-    def key(self, u: int) -> bytes:
+    def cache_key(self, u: int) -> bytes:
         """The inputs of Sigma_ave of one truth, as bytes."""
-        return b"".join(of_truth(x, u).tobytes() for x in (self.fraction, self.between, self.stretch))
+        return b"".join(truth_row(x, u).tobytes() for x in (self.fraction, self.between, self.stretch))
 
-    def variances(self) -> Array:
+    def class_variances(self) -> Array:
         """(U or 1, M, F) diagonals of the covariances of the classes."""
         return np.asarray(np.array([np.diag(c) for c in self.covariances]) * self.stretch**2)
 
-    def around(self) -> Array:
+    def scene_variances(self) -> Array:
         """(U or 1, F) the diagonal of Sigma_ave."""
-        return np.asarray(np.matmul(self.fraction[:, None, :], self.variances() + self.between**2)[:, 0])
+        return np.asarray(np.matmul(self.fraction[:, None, :], self.class_variances() + self.between**2)[:, 0])
 
 
 @dataclass(frozen=True)
@@ -735,13 +735,13 @@ class Retrieved:
     signatures: Mapping[str, Array]
 
     def rows(self, index: Index) -> Retrieved:
-        """Of some truths."""
+        """Those of some truths."""
         rows = _rows_of(self, ("gain", "offset", "slope", "adjacency", "means", "noise", "held_noise"), index)
-        signatures = {name: at_rows(x, index) for name, x in self.signatures.items()}
+        signatures = {name: select_rows(x, index) for name, x in self.signatures.items()}
         return replace(rows, light=self.light.rows(index), classes=self.classes.rows(index), signatures=signatures)
 
 
-def retrieved(full_light: Light, world: World, bands: Index) -> Retrieved:
+def retrieve(full_light: Light, world: World, bands: Index) -> Retrieved:
     """The classes of a world after the empirical line, on some bands (3.7-3.21).
 
     A covariance measured on the image holds the noise; one measured on predicted pixels gives the same prediction:
@@ -769,13 +769,13 @@ def retrieved(full_light: Light, world: World, bands: Index) -> Retrieved:
     >>> bool(np.allclose(np.nan_to_num(second.reflectance["half"].pixel_covariance), pixels["half"], rtol=2e-3))
     True
     """
-    light, classes = full_light.at(bands), Background.of(world, bands)
-    line, level = light.line(), light.level(classes.means)
+    light, classes = full_light.on_bands(bands), Background.from_world(world, bands)
+    line, level = light.empirical_line(), light.signal(classes.means)
     weight = np.sqrt(classes.gain[:, :, None] * light.kappa)
     adjacency = light.adjacency_slope(classes.means) / line.gain * weight
-    slope = np.ascontiguousarray((light.slope() / line.gain)[:, 0])
+    slope = np.ascontiguousarray((light.direct_slope() / line.gain)[:, 0])
     signatures = {
-        name: retrieved_reflectance(light.library_line, light.level(signature[None, bands]))[:, 0]
+        name: retrieved_reflectance(light.library_line, light.signal(signature[None, bands]))[:, 0]
         for name, signature in world.stated.signatures.items()
     }
     means, noise = retrieved_reflectance(line, level), light.noise_variance(level) / line.gain**2
@@ -786,7 +786,7 @@ def retrieved(full_light: Light, world: World, bands: Index) -> Retrieved:
 def usable_bands(world: World, light: Light) -> Mask:
     """(U or 1, B) bands with light, and with the spectra that the detectors need (3.21)."""
     names = [*world.stated.classes, *world.stated.names["target"]]
-    usable = light.lit()[:, 0] & np.isfinite(world.mean[:, [world.surface(n) for n in names]]).all(axis=1)
+    usable = light.lit_bands()[:, 0] & np.isfinite(world.mean[:, [world.surface_number(n) for n in names]]).all(axis=1)
     for spectrum in world.stated.signatures.values():
         usable = usable & np.isfinite(spectrum)
     return usable
@@ -830,12 +830,12 @@ def target_pixels(view: Retrieved, material: Material, fills: Array) -> tuple[Ar
     light, classes, number = view.light, view.classes, material.host
     lit, under_sky, factor = light.surface(material.mean, material.beam, material.sky)
     host = classes.means[:, number : number + 1]
-    level = light.level(target_pixel_reflectance(fills, lit, host))  # (3.9), (3.10)
+    level = light.signal(target_pixel_reflectance(fills, lit, host))  # (3.9), (3.10)
     means = retrieved_reflectance(TwoPanelLine(view.gain, view.offset), level)
     weight = np.sqrt(classes.gain[:, number, None, None] * light.kappa) / view.gain
     adjacency = light.adjacency_slope(host) * weight, light.adjacency_slope(under_sky) * weight
     held = (1.0 - fills[:, None]) ** 2 * view.held_noise[:, number : number + 1]
     if material.of_pixels:
         part = fills**2 + material.fine_texture[:, None] * (fills - fills**2)
-        held = held + part[:, :, None] * light.noise_variance(light.level(lit)) / view.gain**2
+        held = held + part[:, :, None] * light.noise_variance(light.signal(lit)) / view.gain**2
     return means, light.noise_variance(level) / view.gain**2 - held, adjacency, factor

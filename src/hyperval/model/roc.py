@@ -24,7 +24,7 @@ from scipy.special import gammainccinv, gammaincinv, gammaln, log_ndtr, ndtr, nd
 
 from hyperval.data import Array, Index, Mask
 from hyperval.errors import refuse
-from hyperval.model.stated import distinct
+from hyperval.model.stated import unique
 from hyperval.products import RocCurve, ScoreDistribution
 
 SMALLEST_SD = 1e-12
@@ -63,7 +63,7 @@ class ClassScores:
         """The evaluations that ``index`` names."""
         return ClassScores(self.fraction[index], self.mean[index], self.sd[index], self.dof[index])
 
-    def of(self, laws: Index) -> ClassScores:
+    def select_laws(self, laws: Index) -> ClassScores:
         """The classes that ``laws`` names."""
         return ClassScores(*(a[:, laws] for a in (self.fraction, self.mean, self.sd, self.dof)))
 
@@ -79,7 +79,7 @@ def false_alarm_grid(lowest: float = 1e-9, per_decade: int = 20) -> Array:
 Laws = tuple[Array, Array, Array, Array, Array]
 
 
-def _laws(scores: ClassScores, times: int = 1) -> Laws:
+def _law_terms(scores: ClassScores, times: int = 1) -> Laws:
     """log f_m, theta_m, scale, log density at the centre, and degrees of freedom, (M, n) each: each evaluation repeated
     so many times, classes first, so that sums over them run along the memory.
 
@@ -133,7 +133,7 @@ def log_false_alarm(threshold: Array, scores: ClassScores) -> tuple[Array, Array
     -------
     (R,) natural logarithms, and (R,) their derivatives by x
     """
-    return _log_false_alarm(threshold, _laws(scores))[:2]
+    return _log_false_alarm(threshold, _law_terms(scores))[:2]
 
 
 def greatest_class_false_alarm(threshold: Array, scores: ClassScores) -> Array:
@@ -142,7 +142,7 @@ def greatest_class_false_alarm(threshold: Array, scores: ClassScores) -> Array:
     At x = max_m x_m(P) the class with the longest tail gives P and all others less.  A curve drawn against P is (3.32)
     without (3.33), as if the worst class covered the image.
     """
-    tail, _, _ = _log_tails(threshold, _laws(scores))
+    tail, _, _ = _log_tails(threshold, _law_terms(scores))
     return np.asarray(np.exp(np.where(scores.fraction.T > 0, tail, -np.inf).max(axis=0)))
 
 
@@ -151,7 +151,7 @@ def score_density(score: Array, scores: ClassScores) -> Array:
 
     The derivative of (3.33).
     """
-    laws = _laws(scores, score.shape[1])
+    laws = _law_terms(scores, score.shape[1])
     _, density, _ = _log_tails(score.ravel(), laws)
     return np.asarray(np.exp(density + laws[0]).sum(axis=0).reshape(score.shape))
 
@@ -187,7 +187,7 @@ def _thresholds(log_pfa: Array, scores: ClassScores) -> Array:
     single_x = np.array([class_threshold(np.minimum(share[m], -1e-300), scores, m) for m in classes])
     low, high = np.where(used, class_x, np.inf).min(axis=0), np.where(used, class_x, -np.inf).max(axis=0)
     low = np.minimum(np.maximum(low, np.where(used & (share < 0), single_x, -np.inf).max(axis=0)), high).ravel()
-    high, target, laws = high.ravel(), log_pfa.ravel(), _laws(scores, log_pfa.shape[1])
+    high, target, laws = high.ravel(), log_pfa.ravel(), _law_terms(scores, log_pfa.shape[1])
     x, roots, active = low, low.copy(), np.arange(target.size)  # those not yet there
     for _ in range(_STEPS):
         value, slope, curvature = _log_false_alarm(x, laws)
@@ -286,12 +286,12 @@ class Host:
         return Host(share, self.mean[index], self.variance[index], self.laws.rows(index))
 
     @property
-    def normal(self) -> Mask:
+    def is_normal(self) -> Mask:
         """(n,) whether the class is one normal law."""
         one = self.laws.dof.shape[1] == 1
         return np.isinf(self.laws.dof[:, 0]) if one else np.zeros(self.mean.size, dtype=bool)
 
-    def parts(self, means: Array, sds: Array) -> Iterator[tuple[Array, ...]]:
+    def components(self, means: Array, sds: Array) -> Iterator[tuple[Array, ...]]:
         """Pixels of mean and standard deviation (n, J) by the law of their host: probability (n,), mean, normal and
         tailed variance (n, J), and degrees of freedom (n,).
         """
@@ -303,7 +303,7 @@ class Host:
     def exceedance(self, threshold: Array, means: Array, sds: Array, *, density: bool = False) -> Array:
         """(n, K, J) P(score > x) of pixels at x (n, K), or the density of their score there (3.31)."""
         result = np.zeros((*threshold.shape, means.shape[1]))
-        for part, mean, normal, tailed, dof in self.parts(means, sds):
+        for part, mean, normal, tailed, dof in self.components(means, sds):
             distance = mean[:, None, :] - threshold[:, :, None]
             for factor, probability in zip(*(a.T[:, :, None] for a in chi_square_mixing(dof)), strict=True):
                 sd = np.sqrt(np.maximum(normal + tailed * factor, SMALLEST_SD**2))[:, None, :]
@@ -313,20 +313,20 @@ class Host:
                 result += weight * value  # (3.31)
         return result
 
-    def between(self, threshold: Array, means: Array, sds: Array) -> Callable[[slice], Array]:
+    def interpolated_exceedance(self, threshold: Array, means: Array, sds: Array) -> Callable[[slice], Array]:
         """The same for many fills, interpolated in probit between nodes: slice of thresholds -> (n, k, J).
 
         >>> share = np.append(np.linspace(0.011815697982720898, 0.9997432737033439, 2000), np.ones(5))
         >>> laws, means = ClassScores(*np.array([1.0, 0.0, 1.0, 5.0])[:, None, None]), np.ones((1, 2005))
         >>> host, means[:, 2000:] = Host(share[None], np.zeros(1), np.ones(1), laws), -np.inf  # no pixels
         >>> x, sds = np.array([[0.5, 2.0]]), np.ones((1, 2005))
-        >>> read = host.between(x, means, sds)(slice(None))
+        >>> read = host.interpolated_exceedance(x, means, sds)(slice(None))
         >>> bool(np.abs(read - host.exceedance(x, means, sds)).max() < 1e-3)
         True
         """
         from scipy.interpolate import PchipInterpolator, PPoly  # a quarter of a second, which single fills do not need
 
-        first, group = distinct([self.share], len(self.share))
+        first, group = unique([self.share], len(self.share))
         group, curves = np.broadcast_to(group, len(means)), []
         for number, share in enumerate(self.share[first]):
             rows = np.flatnonzero(group == number)
@@ -356,7 +356,7 @@ class Host:
 
 def _exceedance(threshold: Array, means: Array, sds: Array, host: Host | None) -> Iterator[tuple[slice, Array]]:
     """Slices of thresholds, and (n, k, J) P(score > x) there, of pixels (n, J) at x (n, K) (3.31)."""
-    read = host.between(threshold, means, sds) if host is not None and means.shape[1] > _NODES else None
+    read = host.interpolated_exceedance(threshold, means, sds) if host is not None and means.shape[1] > _NODES else None
     chunk = max(1, _CHUNK_LAWS // means.size)
     for start in range(0, threshold.shape[1], chunk):
         part = slice(start, start + chunk)
@@ -460,7 +460,7 @@ class RocArea:
         wrong = not 0.0 <= self.low < self.high <= 1.0 or (self.logarithmic and self.low <= 0.0)
         refuse(wrong, "roc.range", low=self.low, high=self.high)
 
-    def share(self, s: Array) -> Array:
+    def weight(self, s: Array) -> Array:
         """g(s): the part of the range in which a target is declared that a share ``s`` of the background outscores."""
         x = np.clip(s, self.low, self.high)
         if self.logarithmic:
@@ -482,7 +482,7 @@ class RocArea:
         no_tie = tie <= 0.0
         step = np.where(no_tie, 1.0, tie)
         mean = (self.integral(over + tie) - self.integral(over)) / step
-        return np.clip(np.where(no_tie, self.share(over), mean), 0.0, 1.0)  # against rounding
+        return np.clip(np.where(no_tie, self.weight(over), mean), 0.0, 1.0)  # against rounding
 
 
 WHOLE = RocArea()
@@ -518,7 +518,7 @@ class RocScores:
     def rows(self, index: Index) -> RocScores:
         """The evaluations that ``index`` names."""
         host = None if self.host is None else self.host.rows(index)
-        if host is not None and host.normal.all():
+        if host is not None and host.is_normal.all():
             host = None
         return RocScores(self.classes, self.which[index], self.means[index], self.sds[index], self.weights[index], host)
 
@@ -530,9 +530,9 @@ class RocScores:
 
     def detection_above(self, thresholds: Array) -> Array:
         """P_D (n, K) above ``thresholds`` (n, K) (3.31), once for evaluations with equal scores."""
-        first, group = distinct([self.means, self.sds, self.weights, self.which, thresholds], self.which.size)
+        first, group = unique([self.means, self.sds, self.weights, self.which, thresholds], self.which.size)
         pd, subset, x = np.empty((first.size, thresholds.shape[1])), self.rows(first), thresholds[first]
-        normal = np.ones(first.size, dtype=bool) if subset.host is None else subset.host.normal
+        normal = np.ones(first.size, dtype=bool) if subset.host is None else subset.host.is_normal
         for rows in filter(np.size, (np.flatnonzero(normal), np.flatnonzero(~normal))):
             scores = subset.rows(rows)
             pd[rows] = detection_probability(x[rows], scores.means, scores.sds, scores.weights, scores.host)

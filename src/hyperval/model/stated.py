@@ -71,7 +71,7 @@ class Cached:
 
     cache: dict[Any, Any]
 
-    def once(self, key: Any, make: Callable[[], Made]) -> Made:
+    def cached(self, key: Any, make: Callable[[], Made]) -> Made:
         """The result of ``make``, computed at the first use of ``key``."""
         if key not in self.cache:
             self.cache[key] = make()
@@ -265,7 +265,7 @@ class Sources(Cached):
                 base, covariance=pixels.covariance, tail_dof=tails.tail_dof, tail_scale=tails.tail_scale,
                 components=tails.components,
             )  # fmt: skip
-        return replace(base, components=_components(surface, base.components))
+        return replace(base, components=_class_components(surface, base.components))
 
     def spectrum(self, source: SpectrumSource | CovarianceSource, name: str) -> SurfaceStatistics:
         """The statistics of a source."""
@@ -278,19 +278,19 @@ class Sources(Cached):
         elif source.library is not None:
             with told_of(f"{kind}.library of {name!r}", source.library):
                 record = None if source.record is None else str(source.record)
-                stored = on_bands(self._once(read_statistics_library, source.library, record=record), axis)
+                stored = on_bands(self._contents(read_statistics_library, source.library, record=record), axis)
         elif source.measured is not None:
-            stored = self._measured(source.measured, name)
+            stored = self._measured_statistics(source.measured, name)
         else:
             assert isinstance(source, SpectrumSource)  # noqa: S101 - a stated spread is the surface's to take
             return self._from_file(source, name)
         named = {"name": name, "source": stored.source or source.library or "measured"}
         return SurfaceStatistics(**vars(stored) | named)
 
-    def _once(self, reader: Callable[..., Made], reference: str, **how: Any) -> Made:
+    def _contents(self, reader: Callable[..., Made], reference: str, **how: Any) -> Made:
         """The contents of a file, read at the first use."""
         path = self.resolve(reference)
-        return self.once((path, *how.values()), lambda: reader(path, **how))
+        return self.cached((path, *how.values()), lambda: reader(path, **how))
 
     def _from_file(self, source: SpectrumSource, name: str) -> SurfaceStatistics:
         axis, zero, errors = self.axis, np.zeros((len(self.axis), len(self.axis))), dict[str, Any]()
@@ -298,7 +298,7 @@ class Sources(Cached):
             flat = np.full(len(axis), source.constant)
             return SurfaceStatistics(name, axis, flat, zero, source="constant reflectance")
         options = {k: getattr(source, k) for k in ("record", "wavelength_unit", "reflectance_unit")}
-        spectrum = self._once(read_spectrum, str(source.file), **options)
+        spectrum = self._contents(read_spectrum, str(source.file), **options)
         w, sd = spectrum.wavelength_nm, spectrum.standard_deviation
         mean = in_bands(w, spectrum.values, axis, self.nominal)
         refuse(np.isnan(mean).all(), "surface.bands", name=name, file=source.file, ends=axis.centre_nm[[0, -1]])
@@ -310,7 +310,7 @@ class Sources(Cached):
             errors["mean_error"] = covariance_in_bands(sample_nm, spectrum.errors.covariance(), axis)
         return SurfaceStatistics(name, axis, mean, zero, spectrum.n, str(source.file), **errors)
 
-    def _measured(self, region: str, name: str) -> ClassStatistics:
+    def _measured_statistics(self, region: str, name: str) -> ClassStatistics:
         names = one_of(self.measured, "a region of a collection in reflectance, or in radiance with an empirical_line")
         refuse(region not in self.measured, "surface.measured", name=name, region=region, known=names)
         estimate = self.measured[region]
@@ -318,7 +318,7 @@ class Sources(Cached):
         return estimate
 
 
-def _components(surface: Surface, stored: Components | None) -> Components | None:
+def _class_components(surface: Surface, stored: Components | None) -> Components | None:
     """The components of a class, of those of its source."""
     if not isinstance(surface, BackgroundClass) or surface.mixture in (None, 1):
         return None
@@ -335,7 +335,7 @@ def band_correlation(axis: SpectralAxis, length_nm: float | None) -> Array:
     return np.asarray(np.exp(-0.5 * (gap / (length_nm or np.inf)) ** 2))
 
 
-def without_gaps(values: Array) -> Array:
+def fill_gaps(values: Array) -> Array:
     """(B,) with NaN replaced by the nearest known values: for the scene average alone."""
     valid, index = np.isfinite(values), np.arange(values.size)
     return np.interp(index, index[valid], values[valid])
@@ -405,7 +405,7 @@ class Origins:
     left_out: Callable[[], Iterable[tuple[str, Sequence[ClassStatistics]]]] | None = None
     read: Read = field(default_factory=dict, repr=False, compare=False)
 
-    def find(self, scenario: Scenario) -> Resolve:
+    def resolver(self, scenario: Scenario) -> Resolve:
         """Turns the file references of a scenario into paths."""
         return self.resolve or (lambda reference: datasets.resolve(reference, scenario.folder))
 
@@ -447,13 +447,13 @@ def state_value(state: AtmosphericState, name: str) -> float:
     return float(needed(value, "uncertainty.state", name=name))
 
 
-def plain(value: Any) -> Any:
+def scalar(value: Any) -> Any:
     """A value as a Python scalar: an int where it is whole."""
     value = value.item() if hasattr(value, "item") else value
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-def distinct(columns: Iterable[Values], n: int) -> tuple[Index, Index]:
+def unique(columns: Iterable[Values], n: int) -> tuple[Index, Index]:
     """First of the n rows of each distinct combination of the columns, and the number (n,) of that of each row."""
     which = np.zeros(n, dtype=int)
     for column in columns:
@@ -473,10 +473,10 @@ def _terms_in_memory(
     """Terms at bands, cached, as engines are deterministic functions of state, files and bands."""
     axis = SpectralAxis(np.frombuffer(centre_nm), np.frombuffer(fwhm_nm))
     terms = engine(state, cache_dir=cache_dir, near=base)
-    return _noted(terms.at_bands(axis), state)
+    return _with_notes(terms.at_bands(axis), state)
 
 
-def _noted(terms: AtmosphericTerms, state: AtmosphericState) -> AtmosphericTerms:
+def _with_notes(terms: AtmosphericTerms, state: AtmosphericState) -> AtmosphericTerms:
     return replace(terms, notes=(*unstated_notes(state), *engine_notes(state, terms)))
 
 
@@ -502,15 +502,15 @@ class Atmosphere(Cached):
 
     def run(self, changes: Truth) -> AtmosphericTerms:
         """The engine's terms at the bands with some entries of the state changed; run once for each state."""
-        return self.once(repr(sorted(changes.items())), lambda: self._run(changes))
+        return self.cached(repr(sorted(changes.items())), lambda: self._run(changes))
 
     def _run(self, changes: Truth) -> AtmosphericTerms:
         state, source = self.scenario.atmosphere, self.origins
         assert state is not None  # noqa: S101 - there is light
         state = with_settings(state, state_entries(state, changes)) if changes else state
         if source.engine is not None or state.engine == "table":  # a file of the scenario, read when it changes
-            engine = source.engine or partial(atmospheric_terms, resolve=source.find(self.scenario))
-            return _noted(engine(state).at_bands(self.axis), state)
+            engine = source.engine or partial(atmospheric_terms, resolve=source.resolver(self.scenario))
+            return _with_notes(engine(state).at_bands(self.axis), state)
         bands = self.axis.centre_nm.tobytes(), self.axis.fwhm_nm.tobytes()
         base = self.scenario.atmosphere if source.emulated_steps else None
         options = tuple(map(os.environ.get, _ENVIRONMENT)), source.cache_dir, base
@@ -561,10 +561,10 @@ class Atmosphere(Cached):
                 columns[name] = np.where(np.isnan(column), state_value(state, name), column)
             terms = self._between(columns)
             return replace(terms, **{n: getattr(terms, n)[:, None, :] for n in self._between.values})
-        first, which = distinct((np.broadcast_to(v, (size,)) for v in moved.values()), size)
+        first, which = unique((np.broadcast_to(v, (size,)) for v in moved.values()), size)
         names = [path.partition(".")[2] for path in moved]
         rows = [[v[u if len(v) > 1 else 0] for v in moved.values()] for u in first]
-        runs = [self.run({n: plain(v) for n, v in zip(names, row, strict=True) if v is not None}) for row in rows]
+        runs = [self.run({n: scalar(v) for n, v in zip(names, row, strict=True) if v is not None}) for row in rows]
         index: Any = which if len(runs) > 1 else slice(None)
         spectra = [n for n, v in vars(runs[0]).items() if n not in NOT_AVERAGED and v is not None]
         return replace(runs[0], **{n: np.stack([getattr(t, n) for t in runs])[:, None, :][index] for n in spectra})
@@ -663,13 +663,13 @@ class Stated(Cached):
     surroundings: Array | None
     atmosphere: Atmosphere
     notes: Sequence[str] = ()
-    before: Stated | None = None
+    reread_from: Stated | None = None
     cache: dict[Any, Any] = field(default_factory=dict)
     shift_nm: float | Array = 0.0
     width: float = 1.0
 
     def __post_init__(self) -> None:
-        scene, self.nominal = self.scenario.scene, self.before or self
+        scene, self.nominal = self.scenario.scene, self.reread_from or self
         self.targets: list[Target] = scene.targets
         self.classes = [c.name for c in scene.classes]
         self.names = {"class": self.classes, "surface": list(self.surfaces), "target": [t.name for t in scene.targets]}
@@ -757,7 +757,7 @@ def read_files(
     ------
     UsageError, InputError : a scenario that contradicts itself, a file that is missing or corrupt.
     """
-    find, measured, operation = source.find(scenario), source.measured or {}, scenario.sensor_operation
+    find, measured, operation = source.resolver(scenario), source.measured or {}, scenario.sensor_operation
     sensor = source.sensor or (sensor_named(scenario.sensor, find) if scenario.sensor else None)
     axes = [source.axis, sensor.axis if sensor else None, *(s.axis for s in measured.values())]
     axis = needed(next((a for a in axes if a is not None), None), "scenario.bands")
@@ -780,7 +780,7 @@ def read_files(
     notes += unmeasured_tails(scene.classes, surfaces)
     labelled, neighbourhood = replace(sources, axis=axis, nominal=None), scene.adjacency.spectrum
     signatures = {t.name: labelled.spectrum(t.filter_spectrum or t.spectrum, t.name).mean for t in scene.targets}
-    surroundings = None if neighbourhood is None else without_gaps(sources.spectrum(neighbourhood, "surroundings").mean)
+    surroundings = None if neighbourhood is None else fill_gaps(sources.spectrum(neighbourhood, "surroundings").mean)
     return Stated(
         scenario, source, sensor, axis, true, noise, surfaces, signatures, surroundings,
         Atmosphere(scenario, source, true, nodes or {}, star), notes, cache=cache, shift_nm=shift_nm, width=width,

@@ -27,11 +27,11 @@ from hyperval.model.fill import (
     fill_distribution,
     fill_with_mean,
     fills_of_population,
-    pixels_of_object,
+    object_pixel_count,
     stacked_fills,
     whole_object_fills,
 )
-from hyperval.model.stated import Origins, Stated, Truth, Values, distinct, plain, read_files, state_value, without_gaps
+from hyperval.model.stated import Origins, Stated, Truth, Values, fill_gaps, read_files, scalar, state_value, unique
 from hyperval.scenario import ElmPanels, Fill, Scenario, TargetSubject
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.specification import SensorChanges, SensorOperation
@@ -83,7 +83,7 @@ _SENSOR_KEYS = ("sensor_operation", "sensor_changes")
 _TARGET_FIELDS = ("tail", "fill", "fill entry", "blur", "target_gain", "beam", "sky_view", "fine_texture")
 
 
-def fits(pattern: str, path: str) -> bool:
+def matches_path(pattern: str, path: str) -> bool:
     """Whether a path is of a pattern of :data:`PATHS`."""
     names, parts = pattern.split("."), path_parts(path)
     if names[-1] == "**":
@@ -91,13 +91,13 @@ def fits(pattern: str, path: str) -> bool:
     return len(names) == len(parts) and all(a in ("*", b) for a, b in zip(names, parts, strict=True))
 
 
-def in_file(path: str) -> bool:
+def is_in_file(path: str) -> bool:
     """Whether a path is an entry of the scenario's file; others lead to an array of the world alone."""
-    root = next(p for p in PATHS if fits(p, path)).partition(".")[0]
+    root = next(p for p in PATHS if matches_path(p, path)).partition(".")[0]
     return root in ("atmosphere", "sensor_changes", "sensor_operation", "scene", "**")
 
 
-def column_of(values: Sequence[Any]) -> Values:
+def as_column(values: Sequence[Any]) -> Values:
     """Values as a column: numbers as floats, anything else as objects."""
     if all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
         return np.array(values, dtype=float)
@@ -107,12 +107,12 @@ def column_of(values: Sequence[Any]) -> Values:
     return items
 
 
-def _numbers(values: Values) -> Array:
+def _number_column(values: Values) -> Array:
     """A column of numbers, NaN for entries as stated."""
     return np.array([np.nan if v is None else v for v in values], dtype=float)
 
 
-def find(stated: Stated, path: str) -> Path:
+def find_path(stated: Stated, path: str) -> Path:
     """The field that a path of a scenario moves, and the number of its item.
 
     Raises
@@ -124,19 +124,19 @@ def find(stated: Stated, path: str) -> Path:
     >>> from hyperval.scenario import load_scenario
     >>> from hyperval.settings import with_settings
     >>> unlit = with_settings(load_scenario("yellow-planks-asphalt"), {"atmosphere": None, "processing.elm": "none"})
-    >>> find(read_world(unlit).stated, "sensor.fixed_noise")
+    >>> find_path(read_world(unlit).stated, "sensor.fixed_noise")
     Traceback (most recent call last):
     hyperval.errors.UsageError: sensor.fixed_noise: the scenario has no atmosphere
     """
-    return stated.once(("path", path), lambda: _path_entry(stated, path))
+    return stated.cached(("path", path), lambda: _find_entry(stated, path))
 
 
-def _path_entry(stated: Stated, path: str) -> Path:
-    pattern = next(p for p in PATHS if fits(p, path))
+def _find_entry(stated: Stated, path: str) -> Path:
+    pattern = next(p for p in PATHS if matches_path(p, path))
     entry, parts, scenario = PATHS[pattern], path_parts(path), stated.scenario
     reread = PATHS["**"]
     if scenario.atmosphere is None:
-        refuse(any(fits(p, path) for p in NOT_WITHOUT_LIGHT[:-1]), "path.light", path=path)
+        refuse(any(matches_path(p, path) for p in NOT_WITHOUT_LIGHT[:-1]), "path.light", path=path)
         if entry.field in ("atmosphere", "sensor"):
             return reread
     refuse(entry.field in ("dark", "bright") and not isinstance(scenario.processing.elm, ElmPanels), "path.panels")
@@ -190,14 +190,14 @@ def value_at(world: World, path: str) -> Any:
     A scenario that was read again with shifted bands has that shift as its value:
 
     >>> from hyperval.scenario import load_scenario
-    >>> ((_, elsewhere),) = settled(with_values(read_world(load_scenario("panels")), {SHIFT: np.array([[2.0]])}))
+    >>> ((_, elsewhere),) = group_by_files(with_values(read_world(load_scenario("panels")), {SHIFT: np.array([[2.0]])}))
     >>> value_at(elsewhere, SHIFT).ravel().tolist(), value_at(elsewhere, WIDTH).tolist()
     ([2.0], [1.0])
     """
     if path in world.moved:
         return world.moved[path]
     stated, parts = world.stated, path_parts(path)
-    entry = find(stated, path)
+    entry = find_path(stated, path)
     item, populations = entry.item, entry.populations
     if entry.field in NEUTRAL:
         return np.array([NEUTRAL[entry.field]])
@@ -219,9 +219,9 @@ def value_at(world: World, path: str) -> Any:
     if path.startswith("atmosphere.") and path in PATHS and stated.scenario.atmosphere:
         return np.array([state_value(stated.scenario.atmosphere, parts[1])])
     try:
-        return column_of([setting(stated.scenario, path)])
+        return as_column([setting(stated.scenario, path)])
     except UsageError as error:
-        suggestions = nearest(path, every_path(world))
+        suggestions = nearest(path, all_paths(world))
         if error.mend or not suggestions:
             raise
         mend = f"did you mean {suggestions[0]}?"
@@ -236,11 +236,11 @@ def check_numbers(world: World, truth: Truth) -> None:
     UsageError : the path, what was given, and what was expected.
     """
     for path, raw in truth.items():
-        entry, is_zenith = find(world.stated, path), path.endswith("_zenith_deg")  # which may pass the zenith
+        entry, is_zenith = find_path(world.stated, path), path.endswith("_zenith_deg")  # which may pass the zenith
         of_column = isinstance(raw, Real) and entry.field and not path.startswith("atmosphere.")
-        if in_file(path) and not is_zenith and not of_column:  # the file's own rules hold
+        if is_in_file(path) and not is_zenith and not of_column:  # the file's own rules hold
             continue
-        value = np.asarray(column_of(raw) if isinstance(raw, list | tuple) else raw)
+        value = np.asarray(as_column(raw) if isinstance(raw, list | tuple) else raw)
         counts = {1, *((np.size(value_at(world, path)), len(world.stated.axis)) if entry.shape == "vector" else ())}
         is_number = value.dtype.kind in "fiu" and value.ndim <= (entry.shape == "vector") and value.size in counts
         is_valid = is_number and np.all((entry.low <= value) & (value <= entry.high))
@@ -250,7 +250,7 @@ def check_numbers(world: World, truth: Truth) -> None:
         refuse(not is_valid, "study.limits", path=path, given=f"{raw!r:.80}", words="".join(words))
 
 
-def every_path(world: World) -> list[str]:
+def all_paths(world: World) -> list[str]:
     """Every path of a scenario to a number, or to numbers over wavelength."""
     stated = world.stated
     fills = [n for t in stated.targets for n in (t.name, *(p.name for p in t.populations))]
@@ -287,15 +287,15 @@ class World:
     moved: Mapping[str, Values] = field(default_factory=dict)
     size: int = 1
 
-    def made(self) -> World:
-        """Itself, with all derived arrays computed, so that contradictions are refused.
+    def computed(self) -> World:
+        """This world with all derived arrays computed, so that contradictions are refused.
 
         A thousand fixed fills of a study are a column, not a thousand entries of the file that are checked:
 
         >>> from hyperval.api import load_scenario
         >>> world = read_world(load_scenario("yellow-planks-asphalt"), Origins())
         >>> study = {"scene.targets.yellow plank.subjects.[yellow plank 0.1].fill.fixed": np.linspace(0.0, 1.0, 1000)}
-        >>> "fill_models" in vars(with_values(world, study).made())
+        >>> "fill_models" in vars(with_values(world, study).computed())
         False
         """
         for name, part in [*vars(World).items()]:  # which pickling adds to
@@ -304,21 +304,21 @@ class World:
         return self
 
     def rows(self, index: Index) -> World:
-        """Some of the truths."""
+        """The world of some of the truths."""
         if index.size == self.size and np.array_equal(index, np.arange(self.size)):
             return self
         if self.size == 1 and index.size > 1:
             return self
         return World(self.stated, {p: v[index] if len(v) > 1 else v for p, v in self.moved.items()}, index.size)
 
-    def fields(self, *names: str) -> Iterable[tuple[str, int, Values]]:
+    def perturbations(self, *names: str) -> Iterable[tuple[str, int, Values]]:
         """Path, number of the item and values of perturbations of some fields, in their order."""
         for path, values in self.moved.items():
-            entry = find(self.stated, path)
+            entry = find_path(self.stated, path)
             if entry.field in names:
                 yield path, entry.item, values
 
-    def distinct(self, targets: Sequence[str] = ()) -> tuple[Index, Index]:
+    def distinct_truths(self, targets: Sequence[str] = ()) -> tuple[Index, Index]:
         """First truth of each distinct light, sensor and classes, and the number (U,) of the group of each truth.
 
         ``targets`` : surfaces of targets that must be the same in a group too, with the light on them
@@ -327,11 +327,11 @@ class World:
         other_surfaces = set(self.stated.names["target"]) - set(targets) - set(self.stated.classes)
         columns = []
         for path, values in self.moved.items():
-            entry = find(self.stated, path)
+            entry = find_path(self.stated, path)
             of_other = entry.of == "surface" and self.stated.names["surface"][entry.item] in other_surfaces
             if len(values) > 1 and entry.field not in excluded and not of_other:
                 columns.append(values)
-        return distinct(columns, self.size)
+        return unique(columns, self.size)
 
     def column(self, name: str, stated: Array | None = None) -> Array:
         """(U or 1, items) of a field, or (U or 1, B or 1) of one common to all items.
@@ -340,13 +340,13 @@ class World:
         """
         if name in NEUTRAL:
             column = np.array([[NEUTRAL[name]]])
-            for _, _, values in self.fields(name):
+            for _, _, values in self.perturbations(name):
                 moved = values if values.ndim > 1 else values[:, None]
                 column = column * moved if NEUTRAL[name] else column + moved
             return column
         column = self.stated.columns[name] if stated is None else stated
-        for _, item, values in self.fields(name):
-            moved = _numbers(values)
+        for _, item, values in self.perturbations(name):
+            moved = _number_column(values)
             moved = np.where(np.isnan(moved), column[:, item], moved)
             column = np.array(np.broadcast_to(column, (max(len(column), len(moved)), column.shape[1])))
             column[:, item] = moved
@@ -397,7 +397,7 @@ class World:
         return np.asarray(1.0 / self.column("neighbours")[:, :, None])
 
     @cached_property
-    def _recorded(self) -> tuple[Array, Array]:
+    def _signal_gain_offset(self) -> tuple[Array, Array]:
         """(U or 1, S, B or 1) gain and offset on the reflectance of surfaces, where reflectance itself is recorded."""
         scenario, scene = self.stated.scenario, self.stated.scenario.scene
         named = (*scene.classes, *scene.panels, *scene.sites, *scene.targets)
@@ -409,30 +409,30 @@ class World:
     def mean(self) -> Array:
         """(U or 1, S, B) mean reflectance of the surfaces."""
         mean, nominal = self.stated.mean[None], self.stated.nominal.mean
-        for _, item, values in self.fields("mean"):
+        for _, item, values in self.perturbations("mean"):
             mean = np.array(np.broadcast_to(mean, (max(len(mean), len(values)), *mean.shape[1:])))
             mean[:, item] += values.reshape(len(values), -1) - np.nan_to_num(nominal[item])
-        gain, offset = self._recorded
+        gain, offset = self._signal_gain_offset
         return mean if np.all(gain == 1.0) and not np.any(offset) else gain * mean + offset
 
     @cached_property
     def surroundings(self) -> tuple[AtmosphericTerms, Array]:
         """Terms of (3.7) at the bands, (U or 1, 1, B) each, and (U or 1, M, B) means of the classes, gaps filled."""
-        moved = {p: v for p, _, v in self.fields("atmosphere")}
-        means = self.mean[:, [self.surface(name) for name in self.stated.classes]]
-        return self.stated.atmosphere(moved, self.size), np.apply_along_axis(without_gaps, -1, means)
+        moved = {p: v for p, _, v in self.perturbations("atmosphere")}
+        means = self.mean[:, [self.surface_number(name) for name in self.stated.classes]]
+        return self.stated.atmosphere(moved, self.size), np.apply_along_axis(fill_gaps, -1, means)
 
     @cached_property
     def stretch(self) -> Array:
         """(U or 1, S, B or 1) factor on the pixel-to-pixel spread of the surfaces."""
-        return np.asarray(self.column("spread")[:, :, None] * self._recorded[0])
+        return np.asarray(self.column("spread")[:, :, None] * self._signal_gain_offset[0])
 
-    def surface(self, name: str) -> int:
+    def surface_number(self, name: str) -> int:
         """Number of a surface."""
         return self.stated.names["surface"].index(name)
 
-    def of_target(self, name: str, target: int) -> Array:
-        """(U,) of a field of targets."""
+    def target_column(self, name: str, target: int) -> Array:
+        """(U,) values of a field of targets."""
         return np.broadcast_to(self.column(name)[:, target], (self.size,))
 
     # ---- light and sensor ----------------------------------------------------------------------------------
@@ -443,42 +443,42 @@ class World:
         stated = self.stated
         if stated.noise is None or stated.scenario.atmosphere is None:
             return [], np.zeros(self.size, int)
-        columns = {p: np.broadcast_to(v, (self.size,)) for p, _, v in self.fields("sensor")}
-        first, which = distinct(columns.values(), self.size)
-        changes = [{p: plain(v[u]) for p, v in columns.items() if v[u] is not None} for u in first]
-        return [_noise(stated, moved) if moved else stated.noise for moved in changes], which
+        columns = {p: np.broadcast_to(v, (self.size,)) for p, _, v in self.perturbations("sensor")}
+        first, which = unique(columns.values(), self.size)
+        changes = [{p: scalar(v[u]) for p, v in columns.items() if v[u] is not None} for u in first]
+        return [_changed_noise(stated, moved) if moved else stated.noise for moved in changes], which
 
     @cached_property
-    def of_light(self) -> tuple[World, Index]:
+    def by_light(self) -> tuple[World, Index]:
         """The truths of distinct light, sensor and classes, and the number (U,) of that of each truth."""
-        first, which = self.distinct()
+        first, which = self.distinct_truths()
         return self.rows(first), which
 
     # ---- fills ---------------------------------------------------------------------------------------------
 
-    def of_fill(self, number: int) -> dict[str, Values]:
+    def fill_perturbations(self, number: int) -> dict[str, Values]:
         """Path -> values of the perturbations of the fill of a population."""
-        return {p: v for p, v in self.moved.items() if number in find(self.stated, p).populations}
+        return {p: v for p, v in self.moved.items() if number in find_path(self.stated, p).populations}
 
     @cached_property
     def fill_models(self) -> list[tuple[list[Fill], Index]]:
         """For each population its distinct fills, and the number (U,) of that of each truth."""
         fill_models = []
-        for n, moved in enumerate(map(self.of_fill, range(len(self.stated.populations)))):
-            first, which = distinct((np.broadcast_to(v, (self.size, *v.shape[1:])) for v in moved.values()), self.size)
+        for n, moved in enumerate(map(self.fill_perturbations, range(len(self.stated.populations)))):
+            first, which = unique((np.broadcast_to(v, (self.size, *v.shape[1:])) for v in moved.values()), self.size)
             changes = ({p: v[u if len(v) > 1 else 0] for p, v in moved.items()} for u in first)
-            fill_models.append(([self._fill(n, change) for change in changes], which))
+            fill_models.append(([self._perturbed_fill(n, change) for change in changes], which))
         return fill_models
 
-    def _fill(self, number: int, moved: Truth) -> Fill:
+    def _perturbed_fill(self, number: int, moved: Truth) -> Fill:
         """The fill of a population with the perturbations of one truth."""
         fill, nominal_fill = (s.populations[number][2].fill for s in (self.stated, self.stated.nominal))
         entries, change = {}, 0.0
         for path, value in moved.items():
-            entry, parts, numbers = find(self.stated, path), path_parts(path), np.atleast_1d(value)
+            entry, parts, numbers = find_path(self.stated, path), path_parts(path), np.atleast_1d(value)
             if entry.field == "fill entry":
                 if value is not None:
-                    entries[".".join(parts[6 if parts[3] == "subjects" else 4 :])] = plain(value)
+                    entries[".".join(parts[6 if parts[3] == "subjects" else 4 :])] = scalar(value)
                 continue
             widths = (numbers[entry.populations[number]] if numbers.size > 1 else numbers).tolist()
             if entry.field == "fill":
@@ -493,7 +493,7 @@ class World:
         """The distinct populations of target pixels with their fills, each with the name of its target, and the number
         (U,) of those of each truth.
         """
-        first, which = distinct([which for _, which in self.fill_models], self.size)
+        first, which = unique([which for _, which in self.fill_models], self.size)
         named = [(self.stated.targets[t].name, p) for t, _, p in self.stated.populations]
 
         def truth_populations(u: int) -> Populations:
@@ -514,11 +514,11 @@ class World:
         ------
         UsageError : objects of different numbers of pixels.
         """
-        thesis, moved = self.stated.scenario.formulation == "thesis", self.of_fill(number)
+        thesis, moved = self.stated.scenario.formulation == "thesis", self.fill_perturbations(number)
         stated = self.stated.populations[number][2].fill
         if len(moved) == 1 and next(iter(moved)).endswith("fill.fixed") and stated.fixed is not None:
             (column,) = moved.values()
-            values = np.nan_to_num(_numbers(column), nan=stated.fixed)[:, None]
+            values = np.nan_to_num(_number_column(column), nan=stated.fixed)[:, None]
             refuse(not np.all((values >= 0.0) & (values <= 1.0)), "fill.range", low=values.min(), high=values.max())
             return FillDistribution(values, np.ones((1, 1)))
         make = whole_object_fills if objects else fills_of_population
@@ -528,7 +528,7 @@ class World:
         return stacked_fills([make(fill, thesis) for fill in models], which)
 
 
-def _noise(stated: Stated, moved: Truth) -> NoiseModel:
+def _changed_noise(stated: Stated, moved: Truth) -> NoiseModel:
     """The noise with other numbers of the sensor or of its operation."""
     scenario, sensor = stated.scenario, stated.sensor
     run, changes = scenario.sensor_operation or SensorOperation(), scenario.sensor_changes or SensorChanges()
@@ -552,9 +552,9 @@ def with_values(world: World, values: Mapping[str, npt.ArrayLike]) -> World:
     """
     moved = dict(world.moved)
     for path, entry in values.items():
-        find(world.stated, path)
+        find_path(world.stated, path)
         moved.pop(path, None)  # the latest perturbation comes last
-        value = np.asarray(entry) if not isinstance(entry, list) else column_of(entry)
+        value = np.asarray(entry) if not isinstance(entry, list) else as_column(entry)
         moved[path] = value.astype(float) if value.dtype.kind in "iu" else value
     sizes = {len(v) for v in moved.values()} - {1}
     refuse(len(sizes) > 1, "path.truths", values=sorted(sizes))
@@ -565,10 +565,10 @@ def with_truths(world: World, truths: Sequence[Truth]) -> World:
     """The world of several truths, each of which moves what it names of the stated one."""
     values: dict[str, Values] = {}
     for path in dict.fromkeys(p for truth in truths for p in truth):
-        if find(world.stated, path).shape == "number":
+        if find_path(world.stated, path).shape == "number":
             nominal = world.moved[path][0] if path in world.moved else None  # as stated
             entries = [truth.get(path, nominal) for truth in truths]
-            values[path] = column_of([v.item() if isinstance(v, np.ndarray) and v.size == 1 else v for v in entries])
+            values[path] = as_column([v.item() if isinstance(v, np.ndarray) and v.size == 1 else v for v in entries])
         else:
             nominal = value_at(world, path)[0]
             spectra = (np.asarray(truth.get(path, nominal), dtype=float) for truth in truths)
@@ -579,9 +579,9 @@ def with_truths(world: World, truths: Sequence[Truth]) -> World:
 _REREAD_SCENARIOS = 16  # most scenarios read again that are cached
 
 
-def reads_again(stated: Stated, path: str, values: Values | None = None) -> bool:
+def is_reread(stated: Stated, path: str, values: Values | None = None) -> bool:
     """Whether the scenario is read again for each different value of a path."""
-    field_ = find(stated, path).field
+    field_ = find_path(stated, path).field
     if not field_:
         return True
     if values is None or values.dtype != object or field_ not in stated.columns:
@@ -589,23 +589,23 @@ def reads_again(stated: Stated, path: str, values: Values | None = None) -> bool
     return any(v is not None and not isinstance(v, int | float) for v in values)
 
 
-def settled(world: World) -> list[tuple[Index, World]]:
+def group_by_files(world: World) -> list[tuple[Index, World]]:
     """Groups of truths that share the files read, and the number of pixels of objects."""
     stated = world.stated
     reread = {
-        p: np.broadcast_to(v, (world.size, *v.shape[1:])) for p, v in world.moved.items() if reads_again(stated, p, v)
+        p: np.broadcast_to(v, (world.size, *v.shape[1:])) for p, v in world.moved.items() if is_reread(stated, p, v)
     }
     geometric = [i for i, (*_, p) in enumerate(stated.populations) if p.fill.geometry is not None]
-    fills = [world.fill_models[number] for number in geometric if world.of_fill(number)]
-    sizes = [np.array([pixels_of_object(fill) for fill in models])[which] for models, which in fills]
+    fills = [world.fill_models[number] for number in geometric if world.fill_perturbations(number)]
+    sizes = [np.array([object_pixel_count(fill) for fill in models])[which] for models, which in fills]
     if not reread and not sizes:
-        return [(np.arange(world.size), world.made())]
-    first, which = distinct([*reread.values(), *sizes], world.size)
+        return [(np.arange(world.size), world.computed())]
+    first, which = unique([*reread.values(), *sizes], world.size)
     unread, groups = World(stated, {p: v for p, v in world.moved.items() if p not in reread}, world.size), []
     for i, u in enumerate(first):
         index = np.flatnonzero(which == i)
         group_stated = _read_with(stated, {p: v[u] for p, v in reread.items()}) if reread else stated
-        groups.append((index, replace(unread.rows(index), stated=group_stated, size=index.size).made()))
+        groups.append((index, replace(unread.rows(index), stated=group_stated, size=index.size).computed()))
     return groups
 
 
@@ -614,12 +614,12 @@ def _read_with(stated: Stated, values: Truth) -> Stated:
     cache: dict[str, Stated] = stated.cache.setdefault("again", {})
     key = repr([(p, v.tobytes() if isinstance(v, np.ndarray) else v) for p, v in values.items() if v is not None])
     if key not in cache:
-        settings = {p: plain(v) for p, v in values.items() if v is not None and p not in (SHIFT, WIDTH)}
+        settings = {p: scalar(v) for p, v in values.items() if v is not None and p not in (SHIFT, WIDTH)}
         scenario = with_settings(stated.scenario, settings) if settings else stated.scenario
         atmosphere = stated.atmosphere
         bands = values.get(SHIFT, stated.shift_nm), values.get(WIDTH) or stated.width
         reread = read_files(scenario, stated.origins, *bands, atmosphere.nodes, atmosphere.star)
-        cache[key] = replace(reread, before=stated.nominal)
+        cache[key] = replace(reread, reread_from=stated.nominal)
         if len(cache) > _REREAD_SCENARIOS:
             del cache[next(iter(cache))]
     return cache[key]

@@ -8,14 +8,14 @@ from .open import (
     FinerGrid,
     Place,
     check_line_for_detection,
-    fills_of,
     image_targets,
     material_regions,
-    object_of_fills,
     open_place,
     open_source,
     read_band_table,
     registration_shifts,
+    subject_fills,
+    target_from_fills,
     window_fills,
 )
 from .sites import (
@@ -31,8 +31,8 @@ from .write import NO_DATA, SCALE, write_reflectance
 
 __all__ = [
     "IMAGE", "NO_DATA", "SCALE", "SCENE", "FinerGrid", "Observed", "Place", "RegionLaws", "calibration_covariance",
-    "check_line_for_detection", "class_sets", "detector_covariance", "fills_of", "image_targets", "map_name",
-    "material_regions", "object_of_fills", "observe", "observe_radcalnet", "open_place", "open_source",
-    "path_estimate", "read_band_table", "registration_shifts", "rounding_variance", "scored_part", "spectral_estimate",
-    "target_areas", "target_groups", "training_pixels", "wavelength_notes", "window_fills", "write_reflectance",
+    "check_line_for_detection", "class_sets", "detector_covariance", "image_targets", "map_name", "material_regions",
+    "observe", "observe_radcalnet", "open_place", "open_source", "path_estimate", "read_band_table",
+    "registration_shifts", "rounding_variance", "scored_part", "spectral_estimate", "subject_fills", "target_areas",
+    "target_from_fills", "target_groups", "training_pixels", "wavelength_notes", "window_fills", "write_reflectance",
 ]  # fmt: skip

@@ -57,7 +57,7 @@ def target_groups(objects: Sequence[TargetObject], target: DetectionTarget, form
     for item in objects:
         if item.material == target.material:
             words = {"name": item.name, "material": item.material, **item.attributes, "target": target.name}
-            groups.setdefault(_subject(form, words), []).append(item)
+            groups.setdefault(_subject_name(form, words), []).append(item)
     materials = one_of(sorted({o.material for o in objects}), "a truth with targets")
     refuse(not groups, "detection.material", name=target.name, material=target.material, known=materials)
     return groups
@@ -67,7 +67,7 @@ def target_groups(objects: Sequence[TargetObject], target: DetectionTarget, form
 _BRACES = re.compile(r"\{([^{}]*)\}")
 
 
-def _subject(form: str, words: Mapping[str, str]) -> str:
+def _subject_name(form: str, words: Mapping[str, str]) -> str:
     unknown = [word for word in _BRACES.findall(form) if word not in words]
     refuse(unknown, "detection.group", form=form, word="".join(unknown[:1]), known=", ".join(sorted(words)))
     return _BRACES.sub(lambda match: words[match[1]], form)
@@ -142,10 +142,10 @@ def detect(place: Place, detection: Detection, resolve: Resolve) -> Detected:
         for detector in detection.detectors:
             key = map_name(target.name, detector)
             outlined.setdefault(key, []).extend(o for members in groups.values() for o in members)
-            curves.add(key, target.name, detector, groups, maps[key])
+            curves.add_target(key, target.name, detector, groups, maps[key])
     for name, scores in maps.items() if not detection.targets else ():
-        noise = curves.background(scores, ANOMALIES, name)
-        curves.products["scores"][background_of(ANOMALIES), name] = _moments(noise.scores)
+        noise = curves.background_scores(scores, ANOMALIES, name)
+        curves.products["scores"][background_of(ANOMALIES), name] = _score_moments(noise.scores)
         curve = curves.products["exceedance"].get((ANOMALIES, name))
         notes.append(_anomaly_note(place, name, scores, curve, noise.scores.size))
     _add_pools(curves.products["roc"], detection)
@@ -269,23 +269,23 @@ class _Curves:
         self.alarms = place.pixels_of(*detection.false_alarms)
         self.products: dict[str, dict[Any, Any]] = {k: {} for k in ("scores", "roc", "object_scores", "exceedance")}
 
-    def background(self, scores: Array, subject: str, detector: str) -> px.AlarmBlocks:
+    def background_scores(self, scores: Array, subject: str, detector: str) -> px.AlarmBlocks:
         """The scores of the background with their places; their exceedance curve is a product."""
-        noise = px.AlarmBlocks.of_map(scores, self.alarms, classes=self.place.classes)
+        noise = px.AlarmBlocks.from_map(scores, self.alarms, classes=self.place.classes)
         if noise.scores.size >= px.FEWEST_FOR_A_CURVE:
             self.products["exceedance"][subject, detector] = px.exceedance_curve(noise)
         return noise
 
-    def add(self, key: str, target: str, detector: str, groups: Groups, scores: Array) -> None:
+    def add_target(self, key: str, target: str, detector: str, groups: Groups, scores: Array) -> None:
         """Scores and curves of every subject of a target by one detector, on the score map of this key."""
-        distributions, noise = self.products["scores"], self.background(scores, target, detector)
-        background = replace(_moments(noise.scores), **self._sampling(key, detector, noise))
+        distributions, noise = self.products["scores"], self.background_scores(scores, target, detector)
+        background = replace(_score_moments(noise.scores), **self._sampling_errors(key, detector, noise))
         for subject, members in groups.items():
             refuse((subject, detector) in distributions, "detection.subject", "detection.group", subject=subject)
             distributions[background_of(subject), detector] = background
             self._add_subject(subject, detector, members, scores, noise)
 
-    def _sampling(self, key: str, detector: str, noise: px.AlarmBlocks) -> dict[str, Any]:
+    def _sampling_errors(self, key: str, detector: str, noise: px.AlarmBlocks) -> dict[str, Any]:
         """Sampling errors of the background's scores, and bias of their mean for a filter made of the same pixels."""
         place, bank, detection = self.place, self.bank, self.detection
         errors = dict(zip(("mean_error", "sd_error"), noise.moment_errors, strict=True))
@@ -294,7 +294,7 @@ class _Curves:
         if not np.array_equal(place.pixels_of(*detection.background), self.alarms):
             return errors
         lines, samples = px.drawn_pixels(self.alarms, _MOST_INFLUENCES, np.random.default_rng(0))
-        pixels, usable = place.pixels_at(lines, samples, bank.bands)
+        pixels, usable = place.pixel_values(lines, samples, bank.bands)
         weights, stratum = bank.detectors[key].weights[0], place.classes[lines, samples][usable]
         error, bias = own_mean_sampling(weights, *bank.background, pixels[usable], stratum, noise.scores.size)
         return errors | {"mean_error": error, "mean_bias": bias}
@@ -314,15 +314,15 @@ class _Curves:
         scored = [scored_part(o, self.place) for o in members]
         pixels = np.concatenate([scores[o.window][o.part] for o in scored])
         refuse(not np.isfinite(pixels).any(), "detection.no_pixel", subject=subject)
-        self.products["scores"][subject, detector] = _moments(pixels[np.isfinite(pixels)])
+        self.products["scores"][subject, detector] = _score_moments(pixels[np.isfinite(pixels)])
         by_object = px.object_scores(scores, scored, halo)
         greatest = np.array(list(by_object.values()))
         # The area searched is that of pixels with a score.
         populations = {"pixel": (pixels, noise, noise.scores.size), "object": (greatest, noise, noise.scores.size)}
         if halo:
             off_halo = self.alarms & ~px.mask_with_halo(all_pixels(scored, self.place.cube.shape), halo)
-            by_pixel = px.AlarmBlocks.of_map(scores, off_halo, classes=self.place.classes)
-            populations["object"] = greatest, *self._placements(scores, scored)
+            by_pixel = px.AlarmBlocks.from_map(scores, off_halo, classes=self.place.classes)
+            populations["object"] = greatest, *self._footprint_maxima(scores, scored)
             populations[BY_PIXEL] = greatest, by_pixel, by_pixel.scores.size
         else:  # the model has no halo
             self.products["object_scores"][subject, detector] = ObjectScores(greatest, tuple(by_object))
@@ -331,12 +331,12 @@ class _Curves:
             unit: Literal["pixel", "object"] = "pixel" if name == "pixel" else "object"
             km2 = None if area is None else count * area / 1e6
             curve = px.empirical_roc(finite, background, unit=unit, background_area_km2=km2)
-            curve = px.with_summary(curve, finite, background)
+            curve = px.with_areas_and_alarms(curve, finite, background)
             if self.detection.first_detection and name == "object":
                 curve = replace(curve, alarms_before_first=px.alarms_before_first(pixels, noise.scores))
             self.products["roc"][subject, detector, name] = curve
 
-    def _placements(self, scores: Array, objects: Sequence[TargetObject]) -> tuple[px.AlarmBlocks, int]:
+    def _footprint_maxima(self, scores: Array, objects: Sequence[TargetObject]) -> tuple[px.AlarmBlocks, int]:
         """Greatest score of every placement of the objects' footprints on the background, and the pixels searched."""
         halo, setting = self.detection.halo_pixels, "detection.halo_pixels"
         shapes = {}  # objects of one shape share placements, the same pixels
@@ -346,14 +346,14 @@ class _Curves:
             too_large = any(np.greater(shape.shape, scores.shape))
             refuse(too_large, "detection.halo", setting, name=item.name, halo=halo, shape=scores.shape)
         parts = [px.footprint_tiles(scores, shape, ~self.alarms) for shape in shapes.values()]
-        pixel_count = sum(lines.size * shape.size for (_, lines, _), shape in zip(parts, shapes.values(), strict=True))
+        n_pixels = sum(lines.size * shape.size for (_, lines, _), shape in zip(parts, shapes.values(), strict=True))
         maxima = np.concatenate([tile.max(axis=1) for tile, _, _ in parts])
         lines, samples = (np.concatenate(part) for part in list(zip(*parts, strict=True))[1:])
         names = ", ".join(item.name for item in objects)
         refuse(maxima.size == 0, "detection.placements", setting, halo=halo, names=names)
         # Blocks as large on the ground as those of the pixels.
         side = px.block_side(int(np.count_nonzero(self.alarms)))
-        return px.AlarmBlocks.of_places(maxima, lines, samples, side, self.place.classes[lines, samples]), pixel_count
+        return px.AlarmBlocks.from_pixels(maxima, lines, samples, side, self.place.classes[lines, samples]), n_pixels
 
 
 def _add_pools(roc: dict[Any, Any], detection: Detection) -> None:
@@ -367,7 +367,7 @@ def _add_pools(roc: dict[Any, Any], detection: Detection) -> None:
                 roc[pool.name, detector, unit] = px.pooled_roc([roc[s, detector, unit] for s in pool.subjects])
 
 
-def _moments(values: Array) -> ScoreDistribution:
+def _score_moments(values: Array) -> ScoreDistribution:
     sd = float(np.std(values, ddof=1)) if values.size > 1 else float("nan")
     tail = np.partition(values, values.size - _MOST_SCORES)[-_MOST_SCORES:] if values.size > _MOST_SCORES else values
     return ScoreDistribution(float(np.mean(values)), sd, int(values.size), greatest=np.sort(tail)[::-1])
@@ -418,19 +418,19 @@ def target_areas(
     nominal: dict[tuple[str, str], float] = {}
     targets = {t.name: t for t in detection.targets}
     for check in detection.areas:
-        sums = _footprint_sums(place, detection, maps[f"{check.target}-{check.detector}"], check.margin_pixels)
+        sums = _footprint_summer(place, detection, maps[f"{check.target}-{check.detector}"], check.margin_pixels)
         for subject, members in target_groups(place.targets, targets[check.target], detection.group).items():
             sums_by_object = [sums(o) for o in members]
             measured = [total for total in sums_by_object if not math.isnan(total[0])]
             if measured:
-                areas[subject, check.detector] = _mean_area(place, measured)
+                areas[subject, check.detector] = _area_from_sums(place, measured)
             # A truth may say where the objects are and not how large.
             if math.isfinite(area_m2 := float(np.mean([size for *_, size in measured or sums_by_object]))):
                 nominal[subject, check.detector] = area_m2
     return areas, nominal
 
 
-def _mean_area(place: Place, objects: Iterable[ObjectSum], nominal: float | None = None) -> Abundance:
+def _area_from_sums(place: Place, objects: Iterable[ObjectSum], nominal: float | None = None) -> Abundance:
     """Mean over objects of their sums, times the pixel area.
 
     Its error is by the sums on the background, or by those of the objects about what is due to their sizes, whichever
@@ -440,7 +440,7 @@ def _mean_area(place: Place, objects: Iterable[ObjectSum], nominal: float | None
     >>> place, on_lawn = SimpleNamespace(pixel_area_m2=2.0), [-0.1, 0.0, 0.1]
     >>> def error(size):
     ...     on_gravel = [(total, 9, on_lawn, size) for total in (1.3, 0.7, 1.0, 1.0)]
-    ...     return round(_mean_area(place, on_gravel).standard_uncertainty, 3)
+    ...     return round(_area_from_sums(place, on_gravel).standard_uncertainty, 3)
     >>> error(math.nan), error(2.0)
     (0.1, 0.245)
     """
@@ -452,7 +452,7 @@ def _mean_area(place: Place, objects: Iterable[ObjectSum], nominal: float | None
     return Abundance(sum(totals) * scale, math.sqrt(np.fmax(variance, among)) * scale, sum(pixels), nominal)
 
 
-def _footprint_sums(
+def _footprint_summer(
     place: Place, detection: Detection, scores: Array, margin: int
 ) -> Callable[[TargetObject], ObjectSum]:
     """Function that sums a score map over an object with its margin, and over its footprint on the background."""
@@ -525,14 +525,14 @@ def unmix(place: Place, detection: Detection, task: Unmixing, bands: Mask, resol
             for o in members:
                 refuse(not math.isfinite(o.area_m2), "unmixing.size", "detection.unmixing", subject=subject)
                 if o.name not in footprints:
-                    footprints[o.name] = _footprints(place, o, region, task, bands, rng)
+                    footprints[o.name] = _draw_footprints(place, o, region, task, bands, rng)
             members = [o for o in members if footprints[o.name].complete]
             if not members:  # none holds data in all of its pixels
                 continue
             valid, nominal = [footprints[o.name] for o in members], float(np.mean([o.area_m2 for o in members]))
             for method, weights in noise.items():
                 sums = (_abundance_sum(f, spectrum[bands], weights) for f in valid)
-                areas[subject, unmixing_method(method, item.endmembers)] = _mean_area(place, sums, nominal)
+                areas[subject, unmixing_method(method, item.endmembers)] = _area_from_sums(place, sums, nominal)
             subjects.append(
                 UnmixedSubject(
                     subject, population, counterpart.name, spectrum, item.relative_uncertainty, item.correlation_nm,
@@ -550,7 +550,7 @@ def _abundance_sum(footprints: _Footprints, spectrum: Array, noise: PositiveDefi
     return area, int(np.count_nonzero(footprints.place == 0)), elsewhere, math.nan
 
 
-def _footprints(
+def _draw_footprints(
     place: Place, target: TargetObject, region: Mask, task: Unmixing, bands: Mask, rng: np.random.Generator
 ) -> _Footprints:
     """Pixels of the object and of random placements whose whole footprint lies on the region."""
@@ -568,7 +568,7 @@ def _footprints(
     # One read of all pixels, each line once.
     flat = [np.ravel_multi_index(tuple(part.T), region.shape) for part in parts]
     unique, index = np.unique(np.concatenate(flat), return_inverse=True)
-    values, usable = place.pixels_at(*np.divmod(unique, region.shape[1]), bands)
+    values, usable = place.pixel_values(*np.divmod(unique, region.shape[1]), bands)
     read = [values[k[usable[k]]] for k in np.split(index, np.cumsum([f.size for f in flat])[:-1])]
     if not len(read[1]):
         raise refusal("unmixing.ring", name=target.name, background=task.background, ring_pixels=task.ring_pixels)

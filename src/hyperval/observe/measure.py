@@ -65,7 +65,7 @@ class Observed:
     observation: ObservedProducts
     statistics: Mapping[str, ClassStatistics] = field(default_factory=dict)
     place: Place | None = None
-    masks: Labels = field(default_factory=lambda: Labels.of((0, 0)))
+    masks: Labels = field(default_factory=lambda: Labels.from_masks((0, 0)))
     sampling: Mapping[str, EstimatedPart] = field(default_factory=dict)
     detected: Detected | None = None
     unmixed: Unmixed | None = None
@@ -99,7 +99,7 @@ def observe(
         return Observed(sites.observe_spectra(collection, resolve))
     place = (before and before.place) or open_place(collection, resolve)
     cube = place.cube
-    masks, populations = _labels(place, detection)
+    masks, populations = _region_labels(place, detection)
     earlier_sampling = {} if before is None else before.sampling
     tails = {} if before is None else before.observation.distribution
     unchanged = {n for n in earlier_sampling if before and n in masks and np.array_equal(before.masks[n], masks[n])}
@@ -136,15 +136,15 @@ def observe(
         snr=snr,
         distribution=distribution,
         classification=class_errors(place, masks, classification) if classification else {},
-        notes=_notes(place, detection, detected, masks) + ((remark,) if classification else ()),
+        notes=_observation_notes(place, detection, detected, masks) + ((remark,) if classification else ()),
         provenance={"quantity": cube.quantity, "description": cube.description},
         **products,
     )
-    classes = _classes(place, detection, detected, distribution)
+    classes = _class_statistics(place, detection, detected, distribution)
     return Observed(observation, classes, place, masks, sampling, detected, unmixed)
 
 
-def _labels(place: Place, detection: Detection | None) -> tuple[Labels, list[str]]:
+def _region_labels(place: Place, detection: Detection | None) -> tuple[Labels, list[str]]:
     """Every population whose statistics are needed, as one label image; and the subjects of targets among them.
 
     A target's subject has at least two pixels, for its mean spectrum.  Where several spectra stand for one material
@@ -175,7 +175,7 @@ def _sampling_error(place: Place, region: Mask, sample: SampleStatistics) -> Est
     return sampling.of_each(lambda c: c + rounding)
 
 
-def _notes(
+def _observation_notes(
     place: Place, detection: Detection | None, detected: Detected | None, masks: Mapping[str, Mask]
 ) -> tuple[str, ...]:
     """Notes on an observation."""
@@ -240,11 +240,11 @@ def _spectra(
         radiance[name] = _estimate(cube, sample, error, parts, scale=scale)
         if line is None:
             continue
-        if (used := line.without(name) if name in line.names else line) is None:
+        if (used := line.without_panel(name) if name in line.names else line) is None:
             errors = {LINE: line.error_covariance(sample.mean, own=name)}
             reflectance[name] = _estimate(cube, sample, None, errors, line, circular=CIRCULAR)
         else:
-            errors, estimated = {LINE: used.error_covariance(sample.mean)}, used.estimated(sample.mean)
+            errors, estimated = {LINE: used.error_covariance(sample.mean)}, used.estimated_parts(sample.mean)
             reflectance[name] = _estimate(cube, sample, error, errors, used, estimated, scale=used.scale_errors)
     return {"radiance": radiance if cube.quantity == "radiance" else {}, "reflectance": reflectance}
 
@@ -283,7 +283,7 @@ def _thinned_pixels(place: Place, masks: Labels, name: str) -> Array:
     return place.cube.spectra(px.nth_pixels(region, np.arange(0, count, step)))
 
 
-def _classes(
+def _class_statistics(
     place: Place, detection: Detection | None, detected: Detected | None, distribution: Mapping[str, PixelDistribution]
 ) -> dict[str, ClassStatistics]:
     """Statistics of each region in reflectance; none where the image holds radiance without a line."""
@@ -326,7 +326,7 @@ def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Pix
         return None
     rng = np.random.default_rng(_TAIL_SEED)
     mean, covariance = statistics.mean[bands], statistics.covariance[np.ix_(bands, bands)]
-    eigen = px.EigenDirections.of(covariance)
+    eigen = px.EigenDirections.from_covariance(covariance)
     dimension = min(eigen.values.size, n // PIXELS_PER_BAND)
     vectors, values = eigen.vectors[:, :dimension], eigen.values[:dimension]
     leading, count = px.leading_count(values, float(np.trace(covariance))), min(COMPONENTS, dimension)
@@ -449,9 +449,9 @@ class RegionLaws:
         # Without an image there are no statistics, and place is not used.
         self._place, self._masks = cast(Place, observed.place), observed.masks
         self._tails, self._statistics = observed.observation.distribution, observed.statistics
-        self.parts, self._fitted, self._jackknifed = cache(self._numbered), cache(self._fit), cache(self._jackknife)
+        self.parts, self._fitted, self._jackknifed = cache(self._parts), cache(self._fit), cache(self._jackknife)
 
-    def _pixels(self, region: str) -> tuple[Array, Index, Index, Index]:
+    def _draw_pixels(self, region: str) -> tuple[Array, Index, Index, Index]:
         """The pixels of a region that its laws are fitted to, at most 20,000 drawn at random (seed fixed).
 
         Their reflectance (n, B), 0 in a band without a gain as in the statistics of the class; their lines and samples
@@ -460,13 +460,13 @@ class RegionLaws:
         axis, rng = self._place.cube.axis, np.random.default_rng(_LAW_SEED)
         limit = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), 2)
         lines, samples = px.drawn_pixels(self._masks[region], limit, rng)
-        pixels, valid = self._place.pixels_at(lines, samples)
+        pixels, valid = self._place.pixel_values(lines, samples)
         finite = np.isfinite(pixels[valid]).all(axis=0)
         pixels = np.where(finite, pixels, 0.0)
         lead = np.flatnonzero(self._place.cube.axis.clear & finite)
         return pixels[valid], lines[valid], samples[valid], lead
 
-    def _numbered(self, region: str) -> Index:
+    def _parts(self, region: str) -> Index:
         """(lines, samples) part of the image that a region's pixels are left out with; -1 of other pixels."""
         mask = self._masks[region]
         number = np.full(mask.shape, -1)
@@ -481,39 +481,39 @@ class RegionLaws:
         UsageError : too few pixels or blocks of the image; two classes that ask one region for different ones.
         """
         statistics = dict(self._statistics)
-        for region, (c, key) in self._keys(scenario).items():
+        for region, (c, key) in self._mixture_keys(scenario).items():
             with told_of(f"mixture of class {c.name!r}, region {region!r}"):
                 mixture = key and self._fitted(*key)
             if mixture is not None:
                 statistics[region] = replace(statistics[region], components=mixture[1])
         return statistics
 
-    def left_out(self, scenario: Scenario) -> Iterator[tuple[str, list[ClassStatistics]]]:
+    def jackknife_replicates(self, scenario: Scenario) -> Iterator[tuple[str, list[ClassStatistics]]]:
         """(region, its statistics without each of its parts), for the regions that the classes take their law from.
 
         None of a region without pixels, or of fewer than two parts.
         """
-        for region, (c, key) in self._keys(scenario).items():
+        for region, (c, key) in self._mixture_keys(scenario).items():
             if replicates := self._jackknifed(region, key, c.tail_dof == "measured"):
                 yield region, replicates
 
     def _jackknife(self, region: str, key: Key | None, tails: bool) -> list[ClassStatistics]:
         """The statistics of a region without each of its parts; ``tails``: with tails fitted to each."""
         replicates, mixture = [], key and self._fitted(*key)
-        (pixels, lines, samples, lead), full = self._pixels(region), self._statistics[region]
+        (pixels, lines, samples, lead), full = self._draw_pixels(region), self._statistics[region]
         part = self.parts(region)[lines, samples]
         for number, (mean, cov) in enumerate(px.moments_without_each(pixels, part)):
             dof, scale = full.tail_dof, full.tail_scale
             if tails and dof is not None:  # within the limits of the fit to all pixels
                 remaining, tail = pixels[part != number][:, lead], self._tails[region]
                 limits = tail.leading_lower, tail.leading_upper
-                fit = px.leading_tails(remaining, mean[lead], cov[np.ix_(lead, lead)], limits)
+                fit = px.fit_leading_tails(remaining, mean[lead], cov[np.ix_(lead, lead)], limits)
                 dof, scale = fit.dof if np.isfinite(fit.dof) else None, fit.scale
             law = None if mixture is None else mixture[0].components_without(pixels, part, number)
             replicates.append(replace(full, mean=mean, covariance=cov, tail_dof=dof, tail_scale=scale, components=law))
         return replicates
 
-    def _keys(self, scenario: Scenario) -> dict[str, tuple[BackgroundClass, Key | None]]:
+    def _mixture_keys(self, scenario: Scenario) -> dict[str, tuple[BackgroundClass, Key | None]]:
         """Region -> the first class that takes its law from there, and the mixture that the classes ask for."""
         keys: dict[str, tuple[BackgroundClass, Key | None]] = {}
         for c in scenario.scene.classes:
@@ -531,7 +531,7 @@ class RegionLaws:
 
     def _fit(self, region: str, count: int | Literal["auto"], tails: bool) -> Mixture | None:
         """The mixture of a region; blocks for the choice of its number are those of false alarms: about 64."""
-        (pixels, lines, samples, lead), place = self._pixels(region), self._place
+        (pixels, lines, samples, lead), place = self._draw_pixels(region), self._place
         side = px.block_side(int(np.count_nonzero(self._masks[region])))
         block = (lines // side) * (place.cube.samples // side + 1) + samples // side
         mixture = px.class_mixture(pixels, block, count, tails=tails, lead=lead, seed=_LAW_SEED)
@@ -547,7 +547,7 @@ def class_errors(place: Place, masks: Labels, task: Classification) -> dict[tupl
     ------
     UsageError : a region that is none, or one with too few pixels in either half.
     """
-    halves = {n: _halves(place, masks[n] if n in place.regions else place.pixels_of(n), n, task) for n in task.classes}
+    halves = {n: _split(place, masks[n] if n in place.regions else place.pixels_of(n), n, task) for n in task.classes}
     errors = {}
     for chosen in class_sets(task):
         for choice in task.features:
@@ -588,7 +588,7 @@ def training_pixels(task: Classification, laws: Mapping[str, PixelDistribution],
     return {name: min(0.5 * float(n), float(task.pixels)) for name, n in independent.items()}
 
 
-def _halves(place: Place, region: Mask, name: str, task: Classification) -> list[tuple[Array, Index]]:
+def _split(place: Place, region: Mask, name: str, task: Classification) -> list[tuple[Array, Index]]:
     """Pixels (n, B) of a class that train, and those that test, each with the block of lines that it lies in."""
     lines, samples = np.nonzero(region)
     block = lines // task.block_lines

@@ -103,8 +103,8 @@ class Place:
         """The regions as drawn; each mask is a new array."""
         return replace(self.labels, members={n: bits for n, bits in self.labels.members.items() if n != _GUARDED})
 
-    def mistaken(self, mistake: Mapping[str, Any]) -> Place:
-        """The same with an injected error; statistics and line are still to be measured.
+    def with_injected_error(self, mistake: Mapping[str, Any]) -> Place:
+        """This place with an injected error; statistics and line are still to be measured.
 
         ``mistake`` : lines, samples by which targets are displaced; regions (1), that regions are too, except those in
         still, in which case targets are not; beyond, the part of all lines from which displacement begins; exchanged,
@@ -114,9 +114,10 @@ class Place:
 
         >>> from dataclasses import make_dataclass
         >>> image, one = make_dataclass("Image", ["shape", "gain", "offset"])((6, 1), 1.0, 0.0), np.ones((1, 1), bool)
-        >>> labels = Labels.of((6, 1), {_GUARDED: np.array([[True], [False], [False], [True], [False], [False]])})
+        >>> guarded = np.array([[True], [False], [False], [True], [False], [False]])
+        >>> labels = Labels.from_masks((6, 1), {_GUARDED: guarded})
         >>> planks = [TargetObject(f"plank {line}", "wood", 1.0, 1.0, (6, 1), (line, 0), one) for line in (0, 3)]
-        >>> place = Place(image, labels, planks).mistaken({"lines": 2, "beyond": 0.5})
+        >>> place = Place(image, labels, planks).with_injected_error({"lines": 2, "beyond": 0.5})
         >>> [target.corner[0] for target in place.targets], place.near_targets[:, 0].nonzero()[0].tolist()
         ([0, 5], [0, 5])
 
@@ -125,7 +126,7 @@ class Place:
         >>> from types import SimpleNamespace
         >>> image.axis = SimpleNamespace(good=np.array([True, True, False]))
         >>> scene = {SCENE: SimpleNamespace(mean=np.array([1.0, 3.0, 1e9]))}
-        >>> float(Place(image, labels, planks, statistics=scene).mistaken({"offset": 0.1}).cube.offset)
+        >>> float(Place(image, labels, planks, statistics=scene).with_injected_error({"offset": 0.1}).cube.offset)
         0.2
         """
         cube, stated = self.cube, mistake
@@ -175,7 +176,7 @@ class Place:
         all_labels = np.ones_like(drawn[_GUARDED])
         for name in names:
             masked = np.any([drawn[n] for n in (_GUARDED, *(() if name in self.leave_out else self.leave_out))], axis=0)
-            mask = all_labels if name in (SCENE, IMAGE) else self._members(name)
+            mask = all_labels if name in (SCENE, IMAGE) else self._region_labels(name)
             parts.append(mask if name == IMAGE else mask & ~masked)
         return np.asarray(np.any(parts, axis=0))
 
@@ -189,7 +190,7 @@ class Place:
             return sample.mean, sample.covariance
         return self.line.reflectance(sample.mean), sample.covariance / np.outer(self.line.gain, self.line.gain)
 
-    def pixels_at(self, lines: Index, samples: Index, bands: Mask | slice = slice(None)) -> tuple[Array, Mask]:
+    def pixel_values(self, lines: Index, samples: Index, bands: Mask | slice = slice(None)) -> tuple[Array, Mask]:
         """(n, b) values of pixels (n,), in reflectance with a line, and the mask (n,) of those that hold data in the
         ``bands``, all by default.
         """
@@ -208,9 +209,9 @@ class Place:
 
     def region(self, name: str) -> Mask:
         """The mask of a region; raises UsageError for a name that no region has."""
-        return self.labels.mask(self._members(name))
+        return self.labels.mask(self._region_labels(name))
 
-    def _members(self, name: str) -> Mask:
+    def _region_labels(self, name: str) -> Mask:
         refuse(name not in self.regions, "place.region", name=name, known=one_of(self.regions, "a region"))
         return self.regions.members[name]
 
@@ -250,10 +251,10 @@ def open_place(collection: CollectionSection, resolve: Resolve, mistake: Mapping
     regions: dict[str, Region] = {}
     for source in collection.regions:
         drawn = source.file is None
-        new = {str(source.name): site.region(source, regions)} if drawn else site.of_file(source)
+        new = {str(source.name): site.drawn_region(source, regions)} if drawn else site.regions_from_file(source)
         refuse(twice := sorted(set(new) & set(regions)), "place.twice", twice=twice)
         regions |= new
-    targets, remarks = ([], []) if truth is None else site.targets_of(truth)
+    targets, remarks = ([], []) if truth is None else site.target_objects(truth)
     guarded = imagery.all_pixels(targets, cube.shape)
     if targets and truth is not None and truth.guard_pixels:
         guarded = imagery.guard(guarded, truth.guard_pixels)
@@ -266,7 +267,7 @@ def open_place(collection: CollectionSection, resolve: Resolve, mistake: Mapping
         guarded = guarded | margin
     by_rule = frozenset(str(r.name) for r in collection.regions if r.normalized_difference is not None)
     notes += [*_region_notes(regions.values(), by_rule), *remarks, *_target_notes(regions.values(), targets, guarded)]
-    labels = Labels.of(cube.shape, {name: region.mask for name, region in regions.items()} | {_GUARDED: guarded})
+    labels = Labels.from_masks(cube.shape, {name: r.mask for name, r in regions.items()} | {_GUARDED: guarded})
     return Place(
         cube, labels, targets, area_m2, truth.pixels if truth else "touched", by_rule, tuple(notes), table,
         frozenset(collection.leave_out),
@@ -363,7 +364,7 @@ class _Site:
             coordinates=source.coordinates, name_field=source.name_field, patterns=patterns, **options,
         )  # fmt: skip
 
-    def region(self, source: RegionSource, earlier: Mapping[str, Region]) -> Region:
+    def drawn_region(self, source: RegionSource, earlier: Mapping[str, Region]) -> Region:
         """A region that is drawn in the campaign; ``earlier``: those of the entries before it."""
         name, shape, made_of = str(source.name), self.cube.shape, source.half or source.ring
         if made_of is not None and made_of.of not in earlier:
@@ -384,7 +385,7 @@ class _Site:
             return Region(name, self._normalized_difference(source.normalized_difference), "normalised difference")
         return Region(name, np.broadcast_to(np.True_, shape), "the whole image")
 
-    def of_file(self, source: RegionSource) -> dict[str, Region]:
+    def regions_from_file(self, source: RegionSource) -> dict[str, Region]:
         """The regions of a file, or of a truth image, by name."""
         path = self.resolve(str(source.file))
         if source.classes:
@@ -412,7 +413,7 @@ class _Site:
             mask[rows] = block.valid & (index >= rule.above) & (index < rule.below)
         return mask
 
-    def targets_of(self, truth: TargetTruth) -> tuple[list[TargetObject], list[str]]:
+    def target_objects(self, truth: TargetTruth) -> tuple[list[TargetObject], list[str]]:
         """The target objects, and notes on how they were drawn."""
         cube, table, area = self.cube, self.table, self.area_m2
         if truth.csv is not None:
@@ -562,11 +563,11 @@ def image_targets(
             error = truth.registration_m / math.sqrt(pixel_area)
         blur = truth.psf_fwhm_pixels
         fwhm = blur if isinstance(blur, tuple) else (blur, blur)
-        grid = replace(_grid(truth, raster, cube, str(path)), blur=fwhm, shifts=registration_shifts(error))
-        images = ((name, mask, mask) for name, mask in _cells(raster, path, truth.classes))
+        grid = replace(_cell_grid(truth, raster, cube, str(path)), blur=fwhm, shifts=registration_shifts(error))
+        images = ((name, mask, mask) for name, mask in _class_cells(raster, path, truth.classes))
     else:
         grid, error = FinerGrid(np.zeros(2), np.ones(2)), 0.0
-        images = _abundances(truth, imagery.raster_of_size(path, cube), path)
+        images = _abundance_maps(truth, imagery.raster_of_size(path, cube), path)
     targets: list[TargetObject] = []
     for material, cells, covered in images:
         listed = list(islice(connected_patches(cells > 0, material, whole=truth.objects != "patches"), MAX_OBJECTS + 1))
@@ -576,7 +577,7 @@ def image_targets(
             shifted = replace(grid, corner=grid.corner + grid.step * start)
             corner, fills = _target_fills(name, part, shifted, cube.shape, str(path))
             area = float(covered[window][member].sum() * grid.step[0] * grid.step[1] * pixel_area)
-            targets.append(object_of_fills(name, material, fills, corner, cube.shape, area, str(path)))
+            targets.append(target_from_fills(name, material, fills, corner, cube.shape, area, str(path)))
     filled = [(o.fills, o.part) for o in targets if o.fills is not None]
     mean, spread = (np.concatenate([stat(fills, axis=0)[part] for fills, part in filled]) for stat in (np.mean, np.std))
     if isinstance(truth, FinerTruth):
@@ -589,7 +590,7 @@ def image_targets(
     return targets, [*remarks, said("abundances.whole", file=path.name)] if np.all(mean == 1.0) else remarks
 
 
-def _grid(truth: FinerTruth, raster: Raster, cube: Cube, source: str) -> FinerGrid:
+def _cell_grid(truth: FinerTruth, raster: Raster, cube: Cube, source: str) -> FinerGrid:
     """Corner and step of the cells, by the map or as the campaign states them."""
     if truth.corner is not None and truth.times_finer is not None:
         grid = FinerGrid(np.array(truth.corner), np.full(2, 1.0 / truth.times_finer))
@@ -605,7 +606,7 @@ def _grid(truth: FinerTruth, raster: Raster, cube: Cube, source: str) -> FinerGr
     return grid
 
 
-def _cells(
+def _class_cells(
     raster: Raster, path: Path, classes: Mapping[str, int | BandRange], default_band: int | str = 1
 ) -> Iterator[tuple[str, Mask]]:
     """Class -> mask (lines, samples) of its cells: a value of ``default_band``, or a range of another."""
@@ -613,38 +614,38 @@ def _cells(
     refuse(lines * samples > MAX_CELLS, "finer.many", path, lines=lines, samples=samples, most=MAX_CELLS)
     for name, chosen in classes.items():
         limits = chosen if isinstance(chosen, BandRange) else BandRange(above=chosen, below=chosen)
-        band = _band(raster, limits.band if limits is chosen else default_band, path)
+        band = _band_index(raster, limits.band if limits is chosen else default_band, path)
         low, high = -np.inf if limits.above is None else limits.above, np.inf if limits.below is None else limits.below
         mask = np.empty((lines, samples), bool)
-        for rows, values in _rows(raster, band):
+        for rows, values in _line_strips(raster, band):
             mask[rows] = (values >= low) & (values <= high)
         if not mask.any():
-            present = np.unique(np.concatenate([np.unique(values) for _, values in _rows(raster, band)]))
+            present = np.unique(np.concatenate([np.unique(values) for _, values in _line_strips(raster, band)]))
             listed = ", ".join(f"{v:g}" for v in present[np.isfinite(present)][:20])
             raise InputError(f"no cell of {name!r}, {chosen}", where=str(path), expected=f"one of {listed}")
         yield name, mask
 
 
-def _abundances(truth: AbundanceTruth, raster: Raster, path: Path) -> Iterator[tuple[str, Array, Array]]:
+def _abundance_maps(truth: AbundanceTruth, raster: Raster, path: Path) -> Iterator[tuple[str, Array, Array]]:
     """Material -> (lines, samples) part of each pixel that it fills, 0 below the least; and the same with its edges."""
     for material, wanted in truth.materials.items():
-        band = _band(raster, wanted, path)
-        fill = np.concatenate([values for _, values in _rows(raster, band)]).astype(float)
+        band = _band_index(raster, wanted, path)
+        fill = np.concatenate([values for _, values in _line_strips(raster, band)]).astype(float)
         if not np.all((fill >= -1e-6) & (fill <= 1 + 1e-6)):
             raise refusal("truth.abundance", str(path), band=band + 1, low=np.nanmin(fill), high=np.nanmax(fill))
         fractions = np.where(fill >= LEAST_FILL, np.minimum(fill, 1.0), 0.0)
         refuse(not fractions.any(), "truth.empty", str(path), material=material, least=LEAST_FILL)
-        yield material, fractions, with_edges(np.clip(fill, 0.0, 1.0))
+        yield material, fractions, with_edge_fills(np.clip(fill, 0.0, 1.0))
 
 
-def with_edges(fill: Array) -> Array:
+def with_edge_fills(fill: Array) -> Array:
     """Fills (lines, samples) of pixels of a target, with the smaller fills of pixels that touch them added.
 
     Pixels below the least fill do not belong to the target, and yet hold a part of its area.
 
-    >>> with_edges(np.array([[0.01, 0.3, 0.5, 0.0, 0.01]])).tolist()
+    >>> with_edge_fills(np.array([[0.01, 0.3, 0.5, 0.0, 0.01]])).tolist()
     [[0.0, 0.31, 0.5, 0.0, 0.0]]
-    >>> with_edges(np.array([[0.01, 0.0], [0.0, 0.5]])).tolist()
+    >>> with_edge_fills(np.array([[0.01, 0.0], [0.0, 0.5]])).tolist()
     [[0.0, 0.0], [0.0, 0.51]]
     """
     filled_pixels = fill >= LEAST_FILL
@@ -669,7 +670,7 @@ def _target_fills(
     return corner, window_fills(cells, grid, corner, size)
 
 
-def object_of_fills(
+def target_from_fills(
     name: str, material: str, fills: Array, corner: tuple[int, int], shape: tuple[int, int], area_m2: float, where: str
 ) -> TargetObject:
     """A target by the fills (K, h, w) of a window: its pixels are those of which the mean reaches 0.02."""
@@ -684,7 +685,7 @@ def object_of_fills(
     )  # fmt: skip
 
 
-def fills_of(targets: Mapping[str, list[TargetObject]]) -> dict[str, list[list[float]]]:
+def subject_fills(targets: Mapping[str, list[TargetObject]]) -> dict[str, list[list[float]]]:
     """Subject -> fills of the pixels of its objects in falling order, a row for each object and displacement.
 
     Rows are equally likely; displacements are thinned to about 64 rows.
@@ -712,10 +713,10 @@ def material_regions(source: RegionSource, cube: Cube, path: Path) -> dict[str, 
     InputError : another size than the cube's, no such band, or a number that no pixel has.
     """
     raster, band = imagery.raster_of_size(path, cube, source.name_field), 1 if source.band is None else source.band
-    return {name: Region(name, mask, str(path)) for name, mask in _cells(raster, path, source.classes, band)}
+    return {name: Region(name, mask, str(path)) for name, mask in _class_cells(raster, path, source.classes, band)}
 
 
-def _band(raster: Raster, wanted: int | str, path: Path) -> int:
+def _band_index(raster: Raster, wanted: int | str, path: Path) -> int:
     """Index from 0 of a band that is named or numbered (from 1)."""
     names = raster.description.band_names
     if isinstance(wanted, int):
@@ -728,7 +729,7 @@ def _band(raster: Raster, wanted: int | str, path: Path) -> int:
     return fits[0]
 
 
-def _rows(raster: Raster, band: int) -> Iterator[tuple[slice, Array]]:
+def _line_strips(raster: Raster, band: int) -> Iterator[tuple[slice, Array]]:
     """Slices of lines of one band, and their values."""
     with raster.kept_open():
         for start in range(0, raster.lines, _LINES):

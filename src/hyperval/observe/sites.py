@@ -205,7 +205,7 @@ def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
     if not elm.usable.all():
         unusable = ", ".join(f"{w:.4g}" for w in axis.centre_nm[~elm.usable])
         notes[0] += f"; no gain at {unusable} nm"
-    if (elm.usable & elm.good).any() and (left_out := _left_out(elm)):
+    if (elm.usable & elm.good).any() and (left_out := _leave_one_out_errors(elm)):
         parts = []
         for name, errors in left_out.items():
             if errors.size:
@@ -225,18 +225,18 @@ def line_warnings(elm: EmpiricalLine) -> Iterator[str]:
     good, usable = int(elm.good.sum()), int((elm.usable & elm.good).sum())
     if usable < FEWEST_USABLE * good:
         yield f"warning: the empirical line can be used in {usable} of {good} good bands only"
-    if (factor := elm.contradiction) > 1.0:
+    if (factor := elm.birge_factor) > 1.0:
         yield said("line.contradiction", times=np.sqrt(factor))
-    for name, errors in _left_out(elm).items():
+    for name, errors in _leave_one_out_errors(elm).items():
         if errors.size and (error := np.median(np.abs(errors))) > MOST_LEFT_OUT:
             yield said("line.off", name=name, off=error)
 
 
-def _left_out(elm: EmpiricalLine) -> dict[str, Array]:
+def _leave_one_out_errors(elm: EmpiricalLine) -> dict[str, Array]:
     """Error of each panel's reflectance by the line through the others, where the line can be used and has one."""
     if len(elm.panels) <= 1 + elm.intercept:  # the others are too few
         return {}
-    errors = elm.leave_one_out[:, elm.usable & elm.good]
+    errors = elm.leave_one_out_errors[:, elm.usable & elm.good]
     return {name: error[np.isfinite(error)] for name, error in zip(elm.names, errors, strict=True)}
 
 
@@ -249,7 +249,7 @@ def wavelength_notes(spectra: Iterable[Array], axis: SpectralAxis, *, reflectanc
     for s, count in found:
         error = f"standard uncertainty {s.uncertainty_nm:.1f}"
         parts.append(f"{s.feature} {s.nm:+.1f} nm ({error}, shown by {count} of the spectra)")
-        if s.certain:
+        if s.is_significant:
             facts = {"feature": s.feature, "nm": abs(s.nm), "error": error, "side": "above" if s.nm > 0 else "below"}
             warnings.append(said("wavelengths.shifted", **facts))
     return [said("wavelengths", features="; ".join(parts)), *warnings]
@@ -276,7 +276,7 @@ def observe_spectra(collection: CollectionSection, resolve: Resolve) -> Observed
             resolve(site.path), record=site.record, quantity="radiance", unit=site.unit,
             unit_if_unstated=RADIANCE_UNIT, wavelength_unit=site.wavelength_unit,
         )  # fmt: skip
-        mean, how = _in_bands(spectrum, axis)
+        mean, how = _band_radiance(spectrum, axis)
         notes += [f"{site.subject}: {note}" for note in (*spectrum.notes, *how)]
         parts = {}
         if collection.calibration is not None:
@@ -290,7 +290,7 @@ def observe_spectra(collection: CollectionSection, resolve: Resolve) -> Observed
     return ObservedProducts(axis=axis, radiance=radiance, reflectance=reflectance, notes=words, provenance=origin)
 
 
-def _in_bands(spectrum: FieldSpectrum, axis: SpectralAxis) -> tuple[Array, tuple[str, ...]]:
+def _band_radiance(spectrum: FieldSpectrum, axis: SpectralAxis) -> tuple[Array, tuple[str, ...]]:
     """(B,) radiance in the bands of the table, and a note on the averaging.
 
     A spectrum at the bands' own centres is taken as it stands; one of a field spectrometer, which samples at most
@@ -342,7 +342,7 @@ def _site_reflectance(
             reason = "one other site makes a line only with its path_radiance"
             if flight in paths:
                 method = "one-point empirical line"
-                line_panels.append(_black(paths[flight], site, axis, resolve))
+                line_panels.append(_path_panel(paths[flight], site, axis, resolve))
         try:
             if not line_panels or (source.intercept and len(line_panels) == 1):
                 raise UsageError(reason)
@@ -360,7 +360,7 @@ def _site_reflectance(
     return reflectance, notes
 
 
-def _black(source: PathRadiance, site: SpectralEstimate, axis: SpectralAxis, resolve: Resolve) -> MeasuredPanel:
+def _path_panel(source: PathRadiance, site: SpectralEstimate, axis: SpectralAxis, resolve: Resolve) -> MeasuredPanel:
     """The path radiance as a panel of reflectance 0."""
     black, zero = path_estimate(source, axis, resolve), np.zeros(len(axis))
     # A calibration error common to all sites and not to the path is equivalent to one of the path alone.

@@ -62,8 +62,8 @@ def write_reflectance(folder: Path, name: str, cube: Cube, elm: EmpiricalLine | 
     path = folder / f"{name}.{'img' if form == 'envi' else 'tif'}"
     watch = watch_lines("reflectance", cube.bytes_per_line, cube.lines)
     clipped = 0
-    with _envi(path, cube, axis, what) if form == "envi" else _cog(path, cube, axis, what) as write:
-        for lines, (block, misfits) in watch(_blocks(cube, elm, axis.good)):
+    with _write_envi(path, cube, axis, what) if form == "envi" else _write_cog(path, cube, axis, what) as write:
+        for lines, (block, misfits) in watch(_stored_blocks(cube, elm, axis.good)):
             write(lines.start, block)
             clipped += misfits
     note = f"{path.name}: {what}; no data is {NO_DATA}; {int((~elm.usable).sum())} bands without a gain"
@@ -72,7 +72,7 @@ def write_reflectance(folder: Path, name: str, cube: Cube, elm: EmpiricalLine | 
     return path, note
 
 
-def _blocks(cube: Cube, elm: EmpiricalLine, good: Mask) -> Iterator[tuple[range, tuple[Stored, int]]]:
+def _stored_blocks(cube: Cube, elm: EmpiricalLine, good: Mask) -> Iterator[tuple[range, tuple[Stored, int]]]:
     """Stored numbers (lines, samples, B) of the blocks in order, and how many good values did not fit."""
     for block in cube.blocks():
         with np.errstate(invalid="ignore", over="ignore"):
@@ -84,7 +84,7 @@ def _blocks(cube: Cube, elm: EmpiricalLine, good: Mask) -> Iterator[tuple[range,
 
 
 @contextmanager
-def _envi(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterator[Write]:
+def _write_envi(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterator[Write]:
     # The scale is written, not applied: blocks come as stored numbers.
     extra = {"reflectance scale factor": repr(float(SCALE)), "z plot titles": "{Wavelength [nm], Reflectance [1]}"}
     place: dict[str, Any] = {"transform": cube.transform, "crs": cube.crs}
@@ -103,7 +103,7 @@ def _envi(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterator[Wri
 
 
 @contextmanager
-def _cog(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterator[Write]:
+def _write_cog(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterator[Write]:
     """Strips into a plain GeoTIFF, which is then copied tile by tile: the format wants its index first."""
     profile = {
         "driver": "GTiff", "height": cube.lines, "width": cube.samples, "count": cube.bands, "dtype": "int16",

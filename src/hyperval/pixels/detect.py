@@ -40,7 +40,7 @@ from hyperval.data import LINEAR_DETECTORS, Array, Index, Mask
 from hyperval.errors import HypervalError, UsageError, needed, refusal, refuse
 from hyperval.model.filters import LinearFilter, PositiveDefinite, design_filter
 from hyperval.pixels.line import EmpiricalLine
-from hyperval.pixels.statistics import StoredBlock, Watch, by_segments, stream
+from hyperval.pixels.statistics import StoredBlock, Watch, by_segments, stream_blocks
 
 if TYPE_CHECKING:
     from hyperval.imagery import Cube
@@ -100,11 +100,11 @@ class PixelDetector:
         y = self.weights @ flat + self.constants[:, None]
         quadratic = None
         if self.quadratic is not None:
-            z = flat if self.quadratic == "length" else _required(whitener).whitened(flat)
+            z = flat if self.quadratic == "length" else _required_whitener(whitener).whiten(flat)
             quadratic = _column_products(z, z)
-        return np.asarray(self.of(y, quadratic).reshape(spectra.shape[:-1]))
+        return np.asarray(self.combined_score(y, quadratic).reshape(spectra.shape[:-1]))
 
-    def of(self, y: Array, quadratic: Array | None) -> Array:
+    def combined_score(self, y: Array, quadratic: Array | None) -> Array:
         """Score (N,) from y (K, N) and the quadratic (N,), which is None where none is asked for."""
         return y[0] if self.combine is None else self.combine(y, quadratic)
 
@@ -116,12 +116,12 @@ class Whitener:
     matrix: Array
     mean: Array
 
-    def whitened(self, x: Array) -> Array:
+    def whiten(self, x: Array) -> Array:
         """W (x - mean) of spectra (B, ...)."""
         return np.asarray(self.matrix @ (x.T - self.mean).T)
 
 
-def _required(whitener: Whitener | None) -> Whitener:
+def _required_whitener(whitener: Whitener | None) -> Whitener:
     return needed(whitener, "detector.whitener")
 
 
@@ -139,7 +139,7 @@ class AddedDetectorError(UsageError):
 
 
 @contextmanager
-def _errors_of(name: str) -> Iterator[None]:
+def _naming_detector_in_errors(name: str) -> Iterator[None]:
     """Errors raised inside name the registered detector."""
     try:
         yield
@@ -198,7 +198,7 @@ def pixel_detector(
     UsageError : an unknown name, a singular background, or a target that cannot be told from the background.
     """
     refuse(name not in detector_names(), "detector.unknown", name=name, names=", ".join(detector_names()))
-    combine = partial(_combined, name)
+    combine = partial(_score_by_name, name)
     if name == "rx":
         return PixelDetector(np.empty((0, np.size(mean))), np.empty(0), combine, "distance", by_pixel=True)
     t = np.asarray(needed(target, "detector.target", name=name), dtype=float)
@@ -210,14 +210,14 @@ def pixel_detector(
     if covariance is None:
         raise refusal("detector.covariance", name=name)
     if name in ADDED_DETECTORS:
-        with _errors_of(name):
+        with _naming_detector_in_errors(name):
             statistics = np.asarray(mean, dtype=float), covariance, np.asarray(undesired, dtype=float)
             return replace(ADDED_DETECTORS[name](t, *statistics), added=name)
     linear = from_filter(design_filter("smf" if name == "ace" else name, t, mean, covariance))
     return replace(linear, combine=combine, quadratic="distance", by_pixel=True) if name == "ace" else linear
 
 
-def _combined(name: str, y: Array, quadratic: Array | None) -> Array:
+def _score_by_name(name: str, y: Array, quadratic: Array | None) -> Array:
     """The score by name for a target of unit length, y[0] being d z."""
     assert quadratic is not None  # noqa: S101 - asked for
     return SCORES[name](y[0] if len(y) else quadratic, 1.0, quadratic)
@@ -290,8 +290,8 @@ def score_cube(
     ends = np.cumsum([0, *map(len, weights)]).tolist()
     quadratics = {d.quadratic for d in detectors.values()}
     if "distance" in quadratics:
-        weights.append(_required(whitener).matrix)
-        constants.append(_required(whitener).whitened(np.zeros(slope.size)))
+        weights.append(_required_whitener(whitener).matrix)
+        constants.append(_required_whitener(whitener).whiten(np.zeros(slope.size)))
     matrix = np.concatenate(weights)
     # weights (slope s + level) + constant, of stored numbers s
     rows, constant = matrix * slope, (np.concatenate(constants) + matrix @ level)[:, None]
@@ -314,14 +314,14 @@ def score_cube(
                     if name in image_values:
                         score = y[start:end] if quadratic is None else np.vstack([y[start:end], quadratic])
                     else:
-                        score = _finite(detector.of(y[start:end], quadratic))
+                        score = _finite(detector.combined_score(y[start:end], quadratic))
                     score = np.where(usable.ravel(), score, np.nan)
                     image_values.get(name, maps[name])[..., lines, :] = score.reshape(*score.shape[:-1], *usable.shape)
 
-    for _ in stream(cube, score_segment, used, required, watch):
+    for _ in stream_blocks(cube, score_segment, used, required, watch):
         pass
     for name, values in image_values.items():
-        with _errors_of(detectors[name].added or name):
+        with _naming_detector_in_errors(detectors[name].added or name):
             maps[name] = _image_score(detectors[name], values, scenes.get(name))
     return maps
 
@@ -334,7 +334,7 @@ def _image_score(detector: PixelDetector, values: Array, scene: Any) -> Array:
         score = score[valid] if score.shape == valid.shape else score
     else:
         y = values[:, valid]
-        score = np.asarray(detector.of(*((y, None) if detector.quadratic is None else (y[:-1], y[-1]))))
+        score = np.asarray(detector.combined_score(*((y, None) if detector.quadratic is None else (y[:-1], y[-1]))))
     refuse(score.shape != (int(valid.sum()),), "detector.scores", shape=score.shape, number=int(valid.sum()))
     refuse(valid.any() and not np.isfinite(score).any(), "detector.scoreless")
     score_map[valid] = _finite(score)
@@ -390,13 +390,13 @@ def score_cube_locally(
     """
     used, required, slope, level = _spectra_of(cube, elm, bands, needed)
     targets = {
-        key: (name, whitener.whitened(whitener.mean if target is None else target)[:, None])
+        key: (name, whitener.whiten(whitener.mean if target is None else target)[:, None])
         for key, (name, target) in detectors.items()
     }
     origin = (whitener.matrix @ whitener.mean)[:, None]
     # y of a stored pixel, and below it a 1 that counts the pixels of a sum
     rows = np.vstack([whitener.matrix * slope, np.zeros(slope.size)])
-    constant = np.append(whitener.whitened(level), 1.0)[:, None, None]
+    constant = np.append(whitener.whiten(level), 1.0)[:, None, None]
     outer, inner = window
     margin = outer // 2
     width = max(16, _STRIP_VALUES // (2 * outer * len(rows)) - 2 * margin)

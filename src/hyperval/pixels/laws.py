@@ -74,16 +74,16 @@ class MixtureFit:
 
     def log_density(self, x: Array) -> Array:
         """(n,) log density of values (n, P)."""
-        return _log_sum(self.log_densities(_monomials(x))[0])[0]
+        return _log_sum_and_shares(self.log_densities(_monomials(x))[0])[0]
 
-    def shares(self, x: Array) -> tuple[Array, Array]:
+    def responsibilities(self, x: Array) -> tuple[Array, Array]:
         """(K, n) probability that a value belongs to a law, and the weight it has in the moments of that law.
 
         The weight is (dof + P)/(dof + d^2) of a t law (Peel & McLachlan, Stat. Comput. 10, 339-348, 2000), 1 of a
         normal one.
         """
         log_parts, squares = self.log_densities(_monomials(x))
-        return _log_sum(log_parts)[1], _tail_weight(squares, self.dof, x.shape[1])
+        return _log_sum_and_shares(log_parts)[1], _tail_weight(squares, self.dof, x.shape[1])
 
 
 def fit_mixture(
@@ -116,7 +116,7 @@ def fit_mixture(
     n, p = x.shape
     refuse(count < 1 or n < 2 * count, "mixture.pixels", count=count, n=n)
     prior = p + 1.0 if prior_pixels is None else prior_pixels
-    fits = (_from_start(x, _nearest_centres(x, count, rng), dof, prior) for _ in range(starts if count > 1 else 1))
+    fits = (_em_fit(x, _nearest_centres(x, count, rng), dof, prior) for _ in range(starts if count > 1 else 1))
     return max(fits, key=lambda fit: fit.history[-1])
 
 
@@ -126,10 +126,10 @@ def refit(values: Array, fit: MixtureFit) -> MixtureFit:
     For samples without one of their parts; a fresh start could end in another maximum.
     """
     chosen = np.isinf(fit.dof) or fit.dof in TRIED_DOF
-    return _from_start(values, fit.shares(values)[0], fit.dof if chosen else None, values.shape[1] + 1.0)
+    return _em_fit(values, fit.responsibilities(values)[0], fit.dof if chosen else None, values.shape[1] + 1.0)
 
 
-def _from_start(x: Array, probability: Array, dof: float | None, prior: float) -> MixtureFit:
+def _em_fit(x: Array, probability: Array, dof: float | None, prior: float) -> MixtureFit:
     """Expectation and maximisation from probabilities (K, n)."""
     n, p = x.shape
     count = probability.shape[0]
@@ -159,7 +159,7 @@ def _from_start(x: Array, probability: Array, dof: float | None, prior: float) -
             nu = _updated_dof(nu, p, probability, tail_weight)
         fit = MixtureFit(size / size.sum(), means, scales, nu)
         log_parts, squares = fit.log_densities(monomials)
-        log_density, probability = _log_sum(log_parts)
+        log_density, probability = _log_sum_and_shares(log_parts)
         history.append(float(log_density.mean()) - _penalty(fit.inverse_roots, ball, prior) / n)
         tail_weight = _tail_weight(squares, nu, p)
         if len(history) > 1 and history[-1] - history[-2] < _TOLERANCE:
@@ -178,7 +178,7 @@ def _tail_weight(squares: Array, dof: float, dimensions: int) -> Array:
     return np.ones_like(squares) if np.isinf(dof) else (dof + dimensions) / (dof + squares)
 
 
-def _log_sum(log_parts: Array) -> tuple[Array, Array]:
+def _log_sum_and_shares(log_parts: Array) -> tuple[Array, Array]:
     """log of the sum (n,) of parts (K, n), and the share of each; scipy's logsumexp is three times as slow."""
     greatest = log_parts.max(axis=0)
     parts = np.exp(log_parts - greatest)
@@ -333,7 +333,7 @@ class ClassMixture:
 
     def _moments(self, pixels: Array, values: Array, fit: MixtureFit) -> Components | None:
         centred = pixels - pixels.mean(axis=0)
-        probability, weight = fit.shares(values)
+        probability, weight = fit.responsibilities(values)
         size = probability.sum(axis=1)
         occupied = size > 1.0  # a law of less than one pixel has no covariance, and no alarms
         if np.count_nonzero(occupied) < 2:
@@ -383,7 +383,7 @@ def class_mixture(
     mean = x.mean(axis=0)
     lead = np.arange(x.shape[1]) if lead is None else lead
     centred = (x - mean)[:, lead]
-    eigen = EigenDirections.of(centred.T @ centred / max(x.shape[0] - 1, 1))
+    eigen = EigenDirections.from_covariance(centred.T @ centred / max(x.shape[0] - 1, 1))
     dimensions = min(DIMENSIONS, eigen.values.size)
     if dimensions == 0 or (count == "auto" and x.shape[0] < FEWEST_PIXELS):
         return None
@@ -421,7 +421,7 @@ def shrunk_covariances(covariances: Array, pixels: Array) -> Array:
     """
     shares = pixels / pixels.sum()
     pooled = np.tensordot(shares, covariances, 1)
-    eigen = EigenDirections.of(pooled)
+    eigen = EigenDirections.from_covariance(pooled)
     ratio = np.einsum("bp,kbc,cp->kp", eigen.vectors, covariances, eigen.vectors, optimize=True) / eigen.values
     chance = 2.0 / pixels
     excess = max(float(shares @ (np.mean((ratio - 1.0) ** 2, axis=1) - chance)), 0.0)
@@ -560,7 +560,7 @@ def fit_tail_dof(
     return TailFit(dof, scale, lower, upper, p_value, int(d.size))
 
 
-def exceedance_of_distance(squared_distance: npt.ArrayLike, dimension: int, dof: float) -> Array:
+def distance_exceedance(squared_distance: npt.ArrayLike, dimension: int, dof: float) -> Array:
     """Probability that a pixel of a normal (dof inf) or t law lies beyond this distance, of any shape."""
     d = np.asarray(squared_distance, dtype=float)
     if np.isinf(dof):
@@ -621,11 +621,11 @@ def moments_without_each(pixels: Array, part: Index) -> Iterator[tuple[Array, Ar
         yield centre + mean, (total_product - product - n * np.outer(mean, mean)) / max(n - 1, 1)
 
 
-def leading_tails(
+def fit_leading_tails(
     pixels: Array, mean: Array, covariance: Array, within: tuple[float, float] = (LEAST_DOF, math.inf)
 ) -> TailFit:
     """The tails of pixels (n, B) in the leading components of their covariance, of degrees of freedom ``within``."""
-    directions = EigenDirections.of(covariance)
+    directions = EigenDirections.from_covariance(covariance)
     count = leading_count(directions.values, float(np.trace(covariance)))
     distances = squared_mahalanobis(pixels, mean, directions.vectors[:, :count], directions.values[:count])
     return fit_tail_dof(distances, count, estimated_on=pixels.shape[0], within=within)

@@ -149,14 +149,14 @@ class EmpiricalLine:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the panels."""
+        """Names of the panels."""
         return tuple(p.name for p in self.panels)
 
     def reflectance(self, radiance: npt.ArrayLike) -> Array:
         """(..., B) reflectance (L - b)/k of a radiance (..., B)."""
         return (np.asarray(radiance, dtype=float) - self.offset) / self.gain
 
-    def without(self, name: str) -> EmpiricalLine | None:
+    def without_panel(self, name: str) -> EmpiricalLine | None:
         """The line through the other panels; None where they fix no line."""
         try:
             panels = [p for p in self.panels if p.name != name]
@@ -165,19 +165,19 @@ class EmpiricalLine:
             return None
 
     @cached_property
-    def leave_one_out(self) -> Array:
+    def leave_one_out_errors(self) -> Array:
         """(P, B) error of the reflectance of each panel by the line through the others; NaN where they fix none.
 
         An extrapolation for the darkest and the brightest.
         """
         error = np.full((len(self.panels), self.gain.size), np.nan)
         for row, panel in zip(error, self.panels, strict=True):
-            if (line := self.without(panel.name)) is not None:
+            if (line := self.without_panel(panel.name)) is not None:
                 row[self.usable] = (line.reflectance(panel.radiance) - panel.reflectance)[self.usable]
         return error
 
     @cached_property
-    def contradiction(self) -> float:
+    def birge_factor(self) -> float:
         """Birge factor on the variances of the panels' errors: 1 where they lie on one line within stated errors.
 
         Else the reduced chi-square, median over good bands, over its expectation, where chance exceeds it in at most
@@ -189,7 +189,7 @@ class EmpiricalLine:
         >>> rng, rho = np.random.default_rng(1), np.array([0.05, 0.3, 0.6])
         >>> panels = [MeasuredPanel(str(r), r + 0.06 * r * rng.standard_normal(20), np.full(20, (0.03 * r) ** 2),
         ...     np.full(20, 10.0 * r), np.full(20, 1e-6)) for r in rho]
-        >>> 3.5 < fit_elm(panels).contradiction < 7.0
+        >>> 3.5 < fit_elm(panels).birge_factor < 7.0
         True
         """
         valid, dof = np.isfinite(self.reduced_chi2) & self.good, len(self.panels) - 1 - self.intercept
@@ -212,30 +212,30 @@ class EmpiricalLine:
 
         sum over panels of D C_rho D + E C_L E with D, E = diag of the derivatives of the reflectance.  ``own``
         names the panel whose mean radiance it is: its pixels then are on both sides, and 1/gain is added to E, so that
-        a line through two panels reproduces their reflectances whatever their radiances.  :attr:`contradiction`
+        a line through two panels reproduces their reflectances whatever their radiances.  :attr:`birge_factor`
         widens the errors of panels that lie on no one line.
         """
         slopes = self._derivatives(radiance)
         slopes[1, [panel.name == own for panel in self.panels]] += 1.0 / self.gain
-        return self._propagated(slopes)
+        return self._propagated_covariance(slopes)
 
     @cached_property
     def scale_errors(self) -> Array:
         """(K, B) relative errors of reflectance differences, those of the gain, along independent directions."""
         of_gain = self._derivatives(self.gain) - self._derivatives(0.0 * self.gain)
-        return covariance_directions(np.nan_to_num(self._propagated(of_gain)))
+        return covariance_directions(np.nan_to_num(self._propagated_covariance(of_gain)))
 
-    def _propagated(self, slopes: Array) -> Array:
+    def _propagated_covariance(self, slopes: Array) -> Array:
         """(B, B) covariance of a quantity with these derivatives (2, P, B) by the panels' reflectance and radiance."""
         total = np.zeros((self.gain.size, self.gain.size))
         for panel, panel_slopes in zip(self.panels, slopes.swapaxes(0, 1), strict=True):
             for error, slope in zip((panel.reflectance_error, panel.radiance_error), panel_slopes, strict=True):
                 total += np.diag(error * slope**2) if error.ndim == 1 else error * np.outer(slope, slope)
-        return total * self.contradiction
+        return total * self.birge_factor
 
-    def estimated(self, radiance: npt.ArrayLike) -> tuple[EstimatedPart, ...]:
+    def estimated_parts(self, radiance: npt.ArrayLike) -> tuple[EstimatedPart, ...]:
         """The parts of :meth:`error_covariance` that were estimated from the panels' pixels; others count as known."""
-        widened = self.contradiction
+        widened = self.birge_factor
         return tuple(
             panel.sampled.of_each(partial(np.multiply, widened * np.outer(e, e)))
             for panel, e in zip(self.panels, self._derivatives(radiance)[1], strict=True)
@@ -244,17 +244,17 @@ class EmpiricalLine:
 
     def _derivatives(self, radiance: npt.ArrayLike) -> Array:
         """(2, P, B) derivatives of the reflectance of a radiance (B,) by the panels' reflectance and radiance."""
-        gain, offset, step = self._perturbed
+        gain, offset, step = self._perturbed_lines
         moved = (np.asarray(radiance, dtype=float) - offset) / gain
         return np.asarray((moved[:, :, 0] - moved[:, :, 1]) / (2.0 * step))
 
     @cached_property
-    def _perturbed(self) -> tuple[Array, Array, Array]:
+    def _perturbed_lines(self) -> tuple[Array, Array, Array]:
         """(2, P, 2, B) gains and offsets with a panel's reflectance, or radiance, a step up and down; (2, P, B) steps.
 
         Central differences: the law of propagation (JCGM 100:2008, 5.2).
         """
-        x, y, vx, vy = (values[:, self.usable] for values in _points(self.panels))
+        x, y, vx, vy = (values[:, self.usable] for values in _panel_points(self.panels))
         count, steps = len(x), _STEP * np.stack([np.maximum(x, 0.01), np.maximum(np.abs(y), 1e-12)])
         columns = []
         for kind, panel, sign in np.ndindex(2, count, 2):
@@ -274,7 +274,7 @@ def _in_all_bands(values: Array, usable: Mask) -> Array:
     return full
 
 
-def _points(panels: Sequence[MeasuredPanel]) -> Array:
+def _panel_points(panels: Sequence[MeasuredPanel]) -> Array:
     """(4, P, B) reflectance, radiance, and the variances of their errors: the diagonal of a covariance."""
     variances = [[np.diag(e) if e.ndim == 2 else e for e in (p.reflectance_error, p.radiance_error)] for p in panels]
     return np.stack([[p.reflectance, p.radiance, *v] for p, v in zip(panels, variances, strict=True)], axis=1)
@@ -318,7 +318,7 @@ def fit_elm(
     panels = tuple(panels)
     refuse(len(panels) < 1 + intercept, "line.few", count=len(panels), least=1 + intercept)
     good = np.ones(panels[0].radiance.size, bool) if good is None else good
-    points = _points(panels)
+    points = _panel_points(panels)
     for p, (rho, *measured) in zip(panels, points[:, :, good].swapaxes(0, 1), strict=True):
         covered = np.isfinite(rho)  # a field spectrum may not reach all bands
         refuse(not covered.any(), "panel.unknown", name=p.name)

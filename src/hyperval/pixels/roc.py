@@ -78,17 +78,17 @@ class AlarmBlocks:
     stratum: Counts
 
     @classmethod
-    def of_map(cls, score_map: Array, counted: Mask, classes: npt.NDArray[Any] | None = None) -> AlarmBlocks:
+    def from_map(cls, score_map: Array, counted: Mask, classes: npt.NDArray[Any] | None = None) -> AlarmBlocks:
         """Pixels of a score map (lines, samples) that count, in about 64 blocks; NaN where invalid.
 
         ``classes`` (lines, samples): number of the class of each pixel, from 0 on; None where classes are not known,
         and their differences count as chance.
         """
         lines, samples = pixels = np.nonzero(counted & np.isfinite(score_map))
-        return cls.of_places(score_map[pixels], lines, samples, None, None if classes is None else classes[pixels])
+        return cls.from_pixels(score_map[pixels], lines, samples, None, None if classes is None else classes[pixels])
 
     @classmethod
-    def of_places(
+    def from_pixels(
         cls, scores: Array, lines: Index, samples: Index, side: int | None = None, classes: npt.ArrayLike | None = None
     ) -> AlarmBlocks:
         """Scores (n,) at lines and samples (n,) [pixels], of ``classes`` (n,); ``side`` None: about 64 blocks."""
@@ -96,30 +96,30 @@ class AlarmBlocks:
         class_number = np.zeros(scores.size, np.int64) if classes is None else np.asarray(classes, np.int64)
         width, n_classes = int(samples.max(initial=0)) // b + 1, int(class_number.max(initial=0)) + 1
         key, block = np.unique((lines // b * width + samples // b) * n_classes + class_number, return_inverse=True)
-        neighbours = _bartlett(np.stack(np.divmod(key // n_classes, width), axis=1))
+        neighbours = _bartlett_weights(np.stack(np.divmod(key // n_classes, width), axis=1))
         return cls(scores, block.astype(np.int64), neighbours, _strata(np.bincount(block), key % n_classes, neighbours))
 
     @classmethod
-    def of_scores(cls, scores: npt.ArrayLike) -> AlarmBlocks:
+    def from_scores(cls, scores: npt.ArrayLike) -> AlarmBlocks:
         """Scores of any shape whose places are not known, each taken by itself; UsageError where some are NaN."""
         from scipy import sparse
 
-        values = ascending(scores, "background")
+        values = sorted_scores(scores, "background")
         return cls(values, np.zeros(values.size, np.int64), sparse.eye_array(1, format="csr"), np.zeros(1, np.int64))
 
     @cached_property
-    def pixels(self) -> Counts:
+    def block_sizes(self) -> Counts:
         """(M,) pixels of each block."""
         return np.bincount(self.block, minlength=self.neighbours.shape[0])
 
     @cached_property
-    def ascending(self) -> Array:
+    def sorted_scores(self) -> Array:
         """(n,) the scores in order."""
-        return ascending(self.scores, "background")
+        return sorted_scores(self.scores, "background")
 
-    def counts(self, threshold: Array) -> Counts:
+    def counts_above(self, threshold: Array) -> Counts:
         """(T, M) scores above each of the thresholds (T,), which fall."""
-        blocks = self.pixels.size
+        blocks = self.block_sizes.size
         first_below = np.searchsorted(-threshold, -self.scores, side="right")  # the first threshold that lies below
         cell = np.bincount(first_below * blocks + self.block, minlength=(threshold.size + 1) * blocks)
         return np.cumsum(cell.reshape(-1, blocks)[: threshold.size], axis=0)
@@ -137,7 +137,7 @@ class AlarmBlocks:
         The degrees of freedom are 2 V^2 / var(V), less 1, with V = sum e^2 and var(V) from the e themselves: few where
         alarms lie in a few blocks.  1 at least.
         """
-        q, w = _shares(self.pixels, self.stratum), self.neighbours
+        q, w = _class_shares(self.block_sizes, self.stratum), self.neighbours
         member = q > 0.0
         e = sums - (sums @ member) @ q.T
         square = e**2
@@ -158,7 +158,7 @@ class AlarmBlocks:
         NaN in one block, or where all scores are equal.  By :meth:`variance_of_sum` of departures and of their squares,
         widened by (t/1.96)^2 as a design effect is.
 
-        >>> AlarmBlocks.of_map(np.zeros((60, 60)), np.ones((60, 60), bool)).moment_errors
+        >>> AlarmBlocks.from_map(np.zeros((60, 60)), np.ones((60, 60), bool)).moment_errors
         (nan, nan)
         """
         departures = self.scores - (self.scores.mean() if self.scores.size else 0.0)
@@ -176,7 +176,7 @@ class AlarmBlocks:
         Those by Jeffreys' prior (:func:`~hyperval.model.intervals.jeffreys_limits`) for the alarms and the
         pixels over the :meth:`design_effect`.
         """
-        k = self.scores.size - np.searchsorted(self.ascending, threshold, side="right")
+        k = self.scores.size - np.searchsorted(self.sorted_scores, threshold, side="right")
         effect = self.design_effect(k)
         return k, *intervals.jeffreys_limits(k / effect, self.scores.size / effect)
 
@@ -188,13 +188,13 @@ class AlarmBlocks:
         model can be required to.
         """
         rng = np.random.default_rng(_SEED)
-        m = self.pixels.size
+        m = self.block_sizes.size
         if m < 2:
             return np.full(threshold.size, np.inf)
         half = np.zeros((m, _HALF_DRAWS))
         for column in half.T:
             column[np.lexsort((rng.random(m), self.stratum))[::2]] = 1.0
-        counts, q = self.counts(threshold), _shares(self.pixels, self.stratum)
+        counts, q = self.counts_above(threshold), _class_shares(self.block_sizes, self.stratum)
         class_index = np.argmax(q > 0.0, axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
             rates = [counts @ (mask / (q.T @ mask)[class_index]) for mask in (half, 1.0 - half)]
@@ -208,7 +208,7 @@ class AlarmBlocks:
         if self.stratum.size < 2:
             return np.zeros(1), np.ones(1)
         ranks = np.unique(np.append(0, np.geomspace(1, n, _RANKS).astype(np.int64)))
-        by_block = self.counts(np.append(self.ascending[n - 1 - ranks[ranks < n]], -np.inf))
+        by_block = self.counts_above(np.append(self.sorted_scores[n - 1 - ranks[ranks < n]], -np.inf))
         k = by_block.sum(axis=1)
         p = k / n
         independent = n * p * (1.0 - p)
@@ -239,7 +239,7 @@ class AlarmBlocks:
         """
         n = self.scores.size
         if self.stratum.size < 2:
-            return _ranks(n, pfa, LEVEL)
+            return _threshold_ranks(n, pfa, LEVEL)
         # Bisection for the least number of alarms whose upper (0), or lower (1), limit is beyond; n + 1 without one.
         low, high = np.zeros((2, pfa.size), np.int64), np.full((2, pfa.size), n + 1)
         while np.any(low < high):
@@ -255,19 +255,19 @@ class AlarmBlocks:
 def _strata(pixels: Counts, class_number: Counts, neighbours: sparse.csr_array) -> Counts:
     """(M,) class of each block; classes confined to few blocks join the largest of the others."""
     names, stratum = np.unique(class_number, return_inverse=True)
-    share = _shares(pixels, stratum)
+    share = _class_shares(pixels, stratum)
     confined = np.einsum("ic,ic->c", share, neighbours @ share) > _CONFINED
     largest = int(np.argmax(np.where(confined, 0.0, np.bincount(stratum, pixels)))) if names.size else 0
     return np.asarray(np.where(confined, largest, np.arange(names.size))[stratum])
 
 
-def _shares(pixels: Counts, stratum: Counts) -> Array:
+def _class_shares(pixels: Counts, stratum: Counts) -> Array:
     """(M, C) part of the pixels of each class that lies in each block."""
     part = pixels[:, None] * (stratum[:, None] == np.unique(stratum))
     return np.asarray(part / part.sum(axis=0))
 
 
-def _bartlett(squares: Counts) -> sparse.csr_array:
+def _bartlett_weights(squares: Counts) -> sparse.csr_array:
     """Bartlett's weights between blocks at (M, 2): product over both axes of 1 - distance/2, to neighbours alone."""
     from scipy import sparse, spatial  # slow to load, and needed for alarms alone
 
@@ -313,7 +313,7 @@ def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
     Examples
     --------
     >>> scores = np.random.default_rng(1).normal(size=(100, 100))
-    >>> curve = exceedance_curve(AlarmBlocks.of_map(scores, np.ones((100, 100), dtype=bool)))
+    >>> curve = exceedance_curve(AlarmBlocks.from_map(scores, np.ones((100, 100), dtype=bool)))
     >>> bool(curve.half_image[np.argmin(np.abs(curve.probability - 1e-2))] < 1.5)
     True
     """
@@ -322,9 +322,9 @@ def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
     level = 10.0 ** -(np.arange(int(decades * _PER_DECADE), -1, -1) / _PER_DECADE)
     level = level[level <= 0.5]
     # The lowest threshold that at most n P of the scores exceed; equal scores exceed it all or none.
-    falling = np.unique(background.ascending[n - 1 - np.floor(n * level + 1e-9).astype(int)])[::-1]
+    falling = np.unique(background.sorted_scores[n - 1 - np.floor(n * level + 1e-9).astype(int)])[::-1]
     alarms, *limits = background.pfa_limits(falling)
-    valid = np.count_nonzero(background.counts(falling), axis=1) >= 2
+    valid = np.count_nonzero(background.counts_above(falling), axis=1) >= 2
     low, high = (np.where(valid, limit, np.nan) for limit in limits)
     columns = (falling, alarms / n, low, high, background.half_image_factor(falling))
     threshold, probability, lower, upper, half = (column[::-1] for column in columns)
@@ -429,7 +429,7 @@ _LEAST_LOST = 8.0  # missed targets, as a sum of lost area, from which a varianc
 _ROUNDING = 1.0 + 1e-12  # keeps a share that is a whole number of scores from rounding up to the next
 
 
-def _ranks(n: int, p: npt.ArrayLike, level: float) -> tuple[Counts, Counts]:
+def _threshold_ranks(n: int, p: npt.ArrayLike, level: float) -> tuple[Counts, Counts]:
     """Ranks r, s of the greatest scores of n between which the threshold lies that a true share ``p`` exceeds.
 
     r is the greatest with P(fewer than r of n above it) <= (1 - level)/2: the r-th greatest score bounds it from above,
@@ -443,10 +443,10 @@ def _ranks(n: int, p: npt.ArrayLike, level: float) -> tuple[Counts, Counts]:
 
 
 def _as_blocks(background: Scores) -> AlarmBlocks:
-    return background if isinstance(background, AlarmBlocks) else AlarmBlocks.of_scores(background)
+    return background if isinstance(background, AlarmBlocks) else AlarmBlocks.from_scores(background)
 
 
-def ascending(scores: npt.ArrayLike, side: str) -> Array:
+def sorted_scores(scores: npt.ArrayLike, side: str) -> Array:
     """(n,) scores of any shape in order; UsageError where there are none or some are NaN."""
     values = np.ravel(np.asarray(scores, dtype=float))
     values = values if np.all(values[:-1] <= values[1:]) else np.sort(values)  # NaN last
@@ -472,12 +472,12 @@ class RankCounts:
     between: Counts
 
     @cached_property
-    def m(self) -> int:
+    def n_target(self) -> int:
         """Targets."""
         return int(self.targets.sum())
 
     @cached_property
-    def n(self) -> int:
+    def n_background(self) -> int:
         """Background scores."""
         return int(self.ties.sum() + self.between.sum())
 
@@ -485,13 +485,13 @@ class RankCounts:
     def shares(self) -> tuple[Array, Array]:
         """(K,) share of the background above each target score, and on it."""
         higher = np.cumsum((self.between[1:] + np.append(self.ties[1:], 0))[::-1])[::-1]
-        return higher / self.n, self.ties / self.n
+        return higher / self.n_background, self.ties / self.n_background
 
 
-def counts_of(target_scores: npt.ArrayLike, background_scores: Scores) -> RankCounts:
+def rank_counts(target_scores: npt.ArrayLike, background_scores: Scores) -> RankCounts:
     """Counts of the background among the targets, scores of any shape; UsageError where a side is empty or has NaN."""
-    value, targets = np.unique(ascending(target_scores, "target"), return_counts=True)
-    background = _as_blocks(background_scores).ascending
+    value, targets = np.unique(sorted_scores(target_scores, "target"), return_counts=True)
+    background = _as_blocks(background_scores).sorted_scores
     lower, upper = (np.searchsorted(background, value, side) for side in ("left", "right"))
     between = np.append(lower, background.size) - np.insert(upper, 0, 0)
     return RankCounts(targets, upper - lower, between)
@@ -527,8 +527,8 @@ def alarms_at_detection(
     the background are known, alarms and pixels are divided by the design effect
     (:meth:`~hyperval.pixels.AlarmBlocks.design_effect`), as clustered alarms count as fewer.
     """
-    t, background = ascending(target_scores, "target"), _as_blocks(background_scores)
-    b, m, n = background.ascending, t.size, background.scores.size
+    t, background = sorted_scores(target_scores, "target"), _as_blocks(background_scores)
+    b, m, n = background.sorted_scores, t.size, background.scores.size
 
     def alarms(rank: int, side: Literal["left", "right"] = "left") -> int:
         """Background scores that reach, or (``right``) exceed, the ``rank``-th greatest target."""
@@ -537,7 +537,7 @@ def alarms_at_detection(
     results = []
     for q in pd:
         rank = int(np.ceil(q * m / _ROUNDING))
-        r, s = (int(x) for x in _ranks(m, q, LEVEL))
+        r, s = (int(x) for x in _threshold_ranks(m, q, LEVEL))
         count, effect = alarms(rank), background.design_effect(alarms(rank))
         exact, rate_limits = (
             [float(x) for x in limits(count / effect, n / effect)]
@@ -558,10 +558,10 @@ def roc_area(counts: RankCounts, area: RocArea = WHOLE) -> float:
 
     Examples
     --------
-    >>> roc_area(counts_of([2.0, 3.0], [0.0, 1.0, 2.5, -1.0]))
+    >>> roc_area(rank_counts([2.0, 3.0], [0.0, 1.0, 2.5, -1.0]))
     0.875
     """
-    return float(counts.targets @ area.averaged(*counts.shares) / counts.m)
+    return float(counts.targets @ area.averaged(*counts.shares) / counts.n_target)
 
 
 def area_variance(counts: RankCounts, area: RocArea = WHOLE) -> tuple[float, float]:
@@ -570,12 +570,12 @@ def area_variance(counts: RankCounts, area: RocArea = WHOLE) -> tuple[float, flo
     With one target or one background score, whose spread is unknown, that part is the bound A (1 - A) of Birnbaum &
     Klose (Ann. Math. Stat. 28, 933-945, 1957).
     """
-    m, n, value = counts.m, counts.n, roc_area(counts, area)
+    m, n, value = counts.n_target, counts.n_background, roc_area(counts, area)
     bound = value * (1.0 - value)
     target_part = float(counts.targets @ (area.averaged(*counts.shares) - value) ** 2 / (m - 1)) if m > 1 else bound
     if n < 2:
         return target_part / m, bound
-    w, times = _influence(counts, area)
+    w, times = _influence_values(counts, area)
     return target_part / m, float(times @ (w - times @ w / n) ** 2 / (n - 1)) / n
 
 
@@ -586,26 +586,26 @@ def clustered_variance(counts: RankCounts, area: RocArea, blocks: AlarmBlocks) -
     :meth:`~hyperval.pixels.AlarmBlocks.variance_of_sum`.  Source of the form: Obuchowski, Biometrics 53,
     567-578, 1997 (clustered ROC data).
     """
-    w = np.repeat(*_influence(counts, area))  # in the order of the scores
+    w = np.repeat(*_influence_values(counts, area))  # in the order of the scores
     order = np.argsort(blocks.scores)
-    sums = np.asarray(np.bincount(blocks.block[order], w, minlength=blocks.pixels.size), dtype=float)
+    sums = np.asarray(np.bincount(blocks.block[order], w, minlength=blocks.block_sizes.size), dtype=float)
     variance, dof = blocks.variance_of_sum(sums[None, :])
     return float(variance[0]) / w.size**2, float(dof[0])
 
 
-def _influence(counts: RankCounts, area: RocArea) -> tuple[Array, Counts]:
+def _influence_values(counts: RankCounts, area: RocArea) -> tuple[Array, Counts]:
     """W of the background scores and their numbers: below the targets, on the first, between it and the second, ..."""
     s, tie = counts.shares
     a, b, untied = area.low, area.high, tie <= 0.0
     with np.errstate(divide="ignore"):
         slope = 1.0 / (np.maximum(s, 1e-300) * np.log(b / a)) if area.logarithmic else 1.0 / (b - a)
-    width, ends = np.where(untied, 1.0, tie), area.share(s + tie)
+    width, ends = np.where(untied, 1.0, tie), area.weight(s + tie)
     # Decrease of the mean of g along the tie by one more score above the target, or level with it.
-    above = np.where(untied, np.where((s >= a) & (s < b), -slope, 0.0), (ends - area.share(s)) / width)
+    above = np.where(untied, np.where((s >= a) & (s < b), -slope, 0.0), (ends - area.weight(s)) / width)
     level = (ends - area.averaged(s, tie)) / width
     # A score between targets k - 1 and k lies above targets 0 .. k - 1; one equal to target k is level with it too.
-    between = np.concatenate([[0.0], np.cumsum(counts.targets * above)]) / counts.m
-    tied = between[:-1] + counts.targets * level / counts.m
+    between = np.concatenate([[0.0], np.cumsum(counts.targets * above)]) / counts.n_target
+    tied = between[:-1] + counts.targets * level / counts.n_target
     places = np.arange(1, between.size)
     return np.insert(between, places, tied), np.insert(counts.between, places, counts.ties)
 
@@ -629,9 +629,7 @@ def logit_interval(
     return low, high
 
 
-def interval_of_mean(
-    placed: Array, target_variance: float, background_variance: float, n: float
-) -> tuple[float, float]:
+def area_interval(placed: Array, target_variance: float, background_variance: float, n: float) -> tuple[float, float]:
     """Interval of an area from the placements (m,) of its targets and the two parts of its variance.
 
     The logit interval; where the lost area (the area itself, for a value below 1/2) sums to fewer than 8 targets, its
@@ -658,7 +656,7 @@ def area_estimates(
     counts: RankCounts, areas: Mapping[str, RocArea], unit: str, blocks: AlarmBlocks
 ) -> dict[str, AreaEstimate]:
     """Areas by name with 95 % intervals, by DeLong's variance, of a background that may come in clusters."""
-    method = "DeLong" if counts.m > 1 else f"one {unit}: the greatest variance there can be"
+    method = "DeLong" if counts.n_target > 1 else f"one {unit}: the greatest variance there can be"
     estimates = {}
     for name, area in areas.items():
         placed = np.repeat(area.averaged(*counts.shares), counts.targets)
@@ -667,8 +665,8 @@ def area_estimates(
         background_part = max(background_part, clustered)
         # Few blocks estimate their scatter badly; by the background's part of the variance (Satterthwaite).
         share = clustered / max(target_part + background_part, 1e-300)
-        effective_n = min(float(counts.n), 1.0 + dof / max(share, 1e-6) ** 2)
-        low, high = interval_of_mean(placed, target_part, background_part, effective_n)
+        effective_n = min(float(counts.n_background), 1.0 + dof / max(share, 1e-6) ** 2)
+        low, high = area_interval(placed, target_part, background_part, effective_n)
         estimates[name] = AreaEstimate(float(placed.mean()), low, high, method, placed, background_part)
     return estimates
 
@@ -688,7 +686,7 @@ def pooled_areas(parts: Sequence[Mapping[str, AreaEstimate]], n: int) -> dict[st
         share = np.array([e.size for e in groups]) / placed.size
         background = float(share @ np.sqrt([p[name].background_variance for p in parts])) ** 2
         target_part = float(placed.var(ddof=1)) / placed.size if placed.size > 1 else 0.25
-        low, high = interval_of_mean(placed, target_part, background, n)
+        low, high = area_interval(placed, target_part, background, n)
         method = f"{placed.size} targets of {len(groups)} groups"
         estimates[name] = AreaEstimate(float(placed.mean()), low, high, method, placed, background)
     return estimates
@@ -731,8 +729,8 @@ def empirical_roc(
     ------
     UsageError : no targets, no background, NaN, or a ``pfa`` outside (0, 1].
     """
-    t, background = ascending(target_scores, "target"), _as_blocks(background_scores)
-    b, m, n = background.ascending, t.size, int(background.scores.size)
+    t, background = sorted_scores(target_scores, "target"), _as_blocks(background_scores)
+    b, m, n = background.sorted_scores, t.size, int(background.scores.size)
     if pfa is None:
         decades = int(np.ceil(np.log10(max(n, 10))))
         grid = 10.0 ** (np.arange(-decades * POINTS_PER_DECADE, 1) / POINTS_PER_DECADE)
@@ -756,12 +754,12 @@ def empirical_roc(
     whole_image = p >= 1.0  # declares everything, whatever the sample
     few, many = above(greatest, whole_image), above(least, np.isneginf(least))
     pd, (low, high) = detected / m, intervals.mid_p_limits(detected, m)
-    lower, upper = _widened(pd, (np.where(whole_image, 1.0, low), high), pd - few / m, many / m - pd)
+    lower, upper = _widened_limits(pd, (np.where(whole_image, 1.0, low), high), pd - few / m, many / m - pd)
     effect = background.design_effect(alarms)
     return RocCurve(p, pd, lower, upper, threshold, unit, int(m), n, background_area_km2, alarms, effect)
 
 
-def _widened(pd: Array, limits: tuple[Array, Array], below: Array, above: Array) -> tuple[Array, Array]:
+def _widened_limits(pd: Array, limits: tuple[Array, Array], below: Array, above: Array) -> tuple[Array, Array]:
     """Limits of a curve with more uncertainty to either side, in quadrature; they rise as the true P_D does."""
     low, high = limits
     # Rounding must not bring them inside the binomial limits.
@@ -770,12 +768,12 @@ def _widened(pd: Array, limits: tuple[Array, Array], below: Array, above: Array)
     return np.minimum.accumulate(lower[::-1])[::-1], np.maximum.accumulate(upper)
 
 
-def with_summary(curve: RocCurve, target_scores: npt.ArrayLike, background_scores: Scores) -> RocCurve:
+def with_areas_and_alarms(curve: RocCurve, target_scores: npt.ArrayLike, background_scores: Scores) -> RocCurve:
     """The curve of these scores with its areas and alarms at stated P_D."""
     background, n = _as_blocks(background_scores), int(curve.n_background or 0)
     # Areas whose lowest P_FA the background can resolve.
     areas = {k: a for k, a in AREAS.items() if not a.logarithmic or a.low * n >= LEAST_EXPECTED_ALARMS}
-    estimates = area_estimates(counts_of(target_scores, background), areas, curve.unit, background)
+    estimates = area_estimates(rank_counts(target_scores, background), areas, curve.unit, background)
     return replace(curve, areas=estimates, at_detection=alarms_at_detection(target_scores, background))
 
 
@@ -800,7 +798,7 @@ def pooled_roc(curves: Sequence[RocCurve]) -> RocCurve:
         below += n / total * np.sqrt(np.maximum((pd - low) ** 2 - (pd - binomial[0]) ** 2, 0.0))
         above += n / total * np.sqrt(np.maximum((high - pd) ** 2 - (binomial[1] - pd) ** 2, 0.0))
     pd = detected / total
-    lower, upper = _widened(pd, intervals.mid_p_limits(detected, total), below, above)
+    lower, upper = _widened_limits(pd, intervals.mid_p_limits(detected, total), below, above)
     n_background = min((c.n_background for c in curves if c.n_background is not None), default=None)
     areas = pooled_areas([c.areas for c in curves], n_background or 0)
     first_alarms = min((c.alarms_before_first for c in curves if c.alarms_before_first is not None), default=None)

@@ -56,7 +56,7 @@ def snr_decorrelated(pixels: Array, mean_error: Array | None = None, good: Mask 
     refuse(used.size < 3, "snr.bands", bands=used.size)
     mean = x.mean(axis=0)
     parts = (x[start : start + _CHUNK] - mean for start in range(0, n, _CHUNK))  # a copy of all takes 16 MB
-    variance, relative_variance, correlation = _noise(sum(z.T @ z for z in parts) / (n - 3), mean, n - 3, used)
+    variance, relative_variance, correlation = _noise_variance(sum(z.T @ z for z in parts) / (n - 3), mean, n - 3, used)
     sd = np.sqrt(variance) / (1.0 - 2.0 / (9.0 * (n - 3))) ** 1.5
     with np.errstate(divide="ignore", invalid="ignore"):
         snr = np.where(sd > 0, mean / sd, np.nan)
@@ -77,12 +77,12 @@ def snr_from_moments(mean: npt.ArrayLike, covariance: npt.ArrayLike, good: npt.A
     has none (NaN).
     """
     average = np.asarray(mean, dtype=float)
-    variance = _noise(np.asarray(covariance, dtype=float), average, np.inf, np.flatnonzero(good))[0]
+    variance = _noise_variance(np.asarray(covariance, dtype=float), average, np.inf, np.flatnonzero(good))[0]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(variance > 0, average / np.sqrt(variance), np.nan)
 
 
-def _noise(covariance: Array, mean: Array, dof: float, used: Index) -> tuple[Array, Array, Array]:
+def _noise_variance(covariance: Array, mean: Array, dof: float, used: Index) -> tuple[Array, Array, Array]:
     """(B,) variance of the noise of the ``used`` bands, its relative variance, (B, B) correlation of their errors.
 
     As in :func:`snr_decorrelated`.
@@ -100,7 +100,7 @@ def _noise(covariance: Array, mean: Array, dof: float, used: Index) -> tuple[Arr
         squares = 1.0 + max(c @ c - chance, -0.5)
         brightness = mean / mean[b] if mean[b] else np.ones_like(mean)
         h = brightness[pair]
-        texture, texture_error = _texture(covariance, brightness, b, dof, used)
+        texture, texture_error = _texture_variance(covariance, brightness, b, dof, used)
         unexplained_share = 1.0 - c @ h
         leakage = (unexplained_share**2 - h @ slopes @ h) * texture
         if texture > 0:
@@ -127,7 +127,7 @@ def _noise(covariance: Array, mean: Array, dof: float, used: Index) -> tuple[Arr
     return noise, error, correlation
 
 
-def _texture(covariance: Array, brightness: Array, b: int, dof: float, used: Index) -> tuple[float, float]:
+def _texture_variance(covariance: Array, brightness: Array, b: int, dof: float, used: Index) -> tuple[float, float]:
     """Variance of the texture of band b from pairs of the used bands up to two away, without b; its variance."""
     window = used[(np.abs(np.arange(used.size) - np.searchsorted(used, b)) <= 2) & (used != b)]
     if np.any(brightness[window] == 0.0):

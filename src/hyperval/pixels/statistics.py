@@ -55,7 +55,7 @@ CENTRED_ON = 64
 StoredBlock = tuple[slice, Array, Mask]
 
 
-def _segments(lines: int, block_lines: int) -> list[range]:
+def _segment_starts(lines: int, block_lines: int) -> list[range]:
     """First lines of the blocks of each segment; as many segments for each thread, so that threads end together."""
     blocks = -(-lines // block_lines)
     count = min(-(-blocks // (BLOCKS_PER_SEGMENT * MAX_THREADS)) * MAX_THREADS, blocks)
@@ -70,7 +70,7 @@ def by_segments(cube: Cube, block_lines: int, work: Callable[[range], Result], w
     by one, or NumPy's BLAS cannot be kept to one thread.  ``watch`` wraps the iterator over the segments, for a
     progress bar.
     """
-    segments = _segments(cube.lines, block_lines)
+    segments = _segment_starts(cube.lines, block_lines)
 
     def results() -> Iterator[tuple[range, Result]]:
         with cube.raster.kept_open(), single_blas_thread() as one_thread:
@@ -87,7 +87,7 @@ def by_segments(cube: Cube, block_lines: int, work: Callable[[range], Result], w
     return (result for _, result in watch(results()))
 
 
-def stream(
+def stream_blocks(
     cube: Cube,
     work: Callable[[Iterator[StoredBlock]], Result],
     bands: Mask | None = None,
@@ -109,7 +109,7 @@ def stream(
     >>> values[..., 4] = 0  # a band that holds no data is left out
     >>> with TemporaryDirectory() as folder:
     ...     cube = open_cube(write_cube(f"{folder}/x.img", values, axis=axis, ignore_value=0), quantity="counts")
-    ...     means = list(stream(cube, lambda blocks: [np.array(x).mean(axis=1) for _, x, _ in blocks]))
+    ...     means = list(stream_blocks(cube, lambda blocks: [np.array(x).mean(axis=1) for _, x, _ in blocks]))
     >>> np.allclose(np.mean(np.concatenate(means), axis=0), values[..., :4].mean(axis=(0, 1)))
     True
     """
@@ -155,7 +155,7 @@ class Labels(Mapping[str, Mask]):
     Examples
     --------
     >>> left, top = np.array([[True, False], [True, False]]), np.array([[True, True], [False, False]])
-    >>> labels = Labels.of((2, 2), {"left": left, "top": top})
+    >>> labels = Labels.from_masks((2, 2), {"left": left, "top": top})
     >>> labels.number.tolist(), labels["top"].tolist()
     ([[3, 1], [2, 0]], [[True, True], [False, False]])
     >>> labels.mask(labels.members["left"] & ~labels.members["top"]).tolist()
@@ -166,8 +166,8 @@ class Labels(Mapping[str, Mask]):
     members: Mapping[str, Mask] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, shape: tuple[int, int], masks: Mapping[str, Mask] | None = None) -> Labels:
-        """Of masks (lines, samples) by name."""
+    def from_masks(cls, shape: tuple[int, int], masks: Mapping[str, Mask] | None = None) -> Labels:
+        """The label image of masks (lines, samples) by name."""
         return cls(np.zeros(shape, np.uint8), {}).with_masks((masks or {}).items())
 
     def with_masks(self, masks: Iterable[tuple[str, Mask]]) -> Labels:
@@ -193,19 +193,19 @@ class Labels(Mapping[str, Mask]):
         the other side.
 
         >>> left, top = np.array([[True, False], [True, False]]), np.array([[True, True], [False, False]])
-        >>> labels = Labels.of((2, 2), {"left": left, "top": top})
+        >>> labels = Labels.from_masks((2, 2), {"left": left, "top": top})
         >>> [labels.displaced(names, (1, 0))["top"].tolist() for names in (["top"], ["left", "top"], ["left"])]
         [[[False, False], [True, True]], [[False, False], [True, True]], [[True, True], [False, False]]]
         >>> labels.displaced(["top"], (1, 0), 1)["top"].tolist()
         [[True, True], [True, True]]
         """
 
-        def shifted(x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        def rolled(x: npt.NDArray[Any]) -> npt.NDArray[Any]:
             return np.concatenate([x[:first], np.roll(x, by, (0, 1))[first:]])
 
         if len(names) == len(self):
-            return Labels(shifted(self.number), self.members)
-        return Labels.of(self.number.shape, {name: shifted(m) if name in names else m for name, m in self.items()})
+            return Labels(rolled(self.number), self.members)
+        return Labels.from_masks(self.number.shape, {k: rolled(m) if k in names else m for k, m in self.items()})
 
     def mask(self, chosen: Mask) -> Mask:
         """(lines, samples) pixels of some of the labels (K,)."""
@@ -229,42 +229,42 @@ class Sums(NamedTuple):
     reference : (B,) point that the sums are about, near the pixels: the mean of some of the first block, so that
         a set of equal pixels has no variance, not even one of rounding
     n : pixels
-    first, second : (B,) and (B, B) sums of x - reference and of its products
+    total, products : (B,) and (B, B) sums of x - reference and of its products
     """
 
     reference: Array
     n: int
-    first: Array
-    second: Array
+    total: Array
+    products: Array
 
     @classmethod
-    def of(cls, pixels: Array, previous: Sums | None, *, integers: bool) -> Sums:
-        """Of pixels (B, n) added to ``previous``, both overwritten; ``integers``: pixels are whole numbers."""
+    def accumulate(cls, pixels: Array, previous: Sums | None, *, integers: bool) -> Sums:
+        """Sums with pixels (B, n) added to ``previous``, both overwritten; ``integers``: pixels are whole numbers."""
         if previous is None:
             centre, bands = pixels[:, :: max(1, pixels.shape[1] // CENTRED_ON)].mean(axis=1), len(pixels)
             previous = cls(np.rint(centre) if integers else centre, 0, np.zeros(bands), np.zeros((bands, bands)))
-        reference, n, first, second = previous
+        reference, n, total, products = previous
         pixels -= reference[:, None]
         # In place, as each block adds to many regions.  NumPy makes the product of an array and its transpose a
         # symmetric rank-k update: half the work.
-        second += pixels @ pixels.T
-        first += pixels @ np.ones(pixels.shape[1])
-        return cls(reference, n + pixels.shape[1], first, second)
+        products += pixels @ pixels.T
+        total += pixels @ np.ones(pixels.shape[1])
+        return cls(reference, n + pixels.shape[1], total, products)
 
     def merged(self, other: Sums) -> Sums:
-        """With the sums of another set of pixels."""
+        """Sums over these pixels and another set."""
         offset = other.reference - self.reference
-        cross = np.outer(offset, other.first + 0.5 * other.n * offset)
-        first, second = self.first + (other.first + other.n * offset), self.second + (other.second + cross + cross.T)
-        return Sums(self.reference, self.n + other.n, first, second)
+        cross = np.outer(offset, other.total + 0.5 * other.n * offset)
+        total = self.total + (other.total + other.n * offset)
+        return Sums(self.reference, self.n + other.n, total, self.products + (other.products + cross + cross.T))
 
     def mean_and_covariance(self) -> tuple[Array, Array]:
         """Mean (B,) and unbiased covariance (B, B) of the pixels; 0 for a single one."""
         # The centre moves to a whole number c near the mean, exactly for whole numbers, then by e to the mean.
-        c = np.rint(self.first / self.n)
-        mixed = np.outer(c, self.first - 0.5 * self.n * c)
-        e = (self.first - self.n * c) / self.n
-        central = self.second - (mixed + mixed.T) - self.n * np.outer(e, e)
+        c = np.rint(self.total / self.n)
+        mixed = np.outer(c, self.total - 0.5 * self.n * c)
+        e = (self.total - self.n * c) / self.n
+        central = self.products - (mixed + mixed.T) - self.n * np.outer(e, e)
         covariance = central / max(self.n - 1, 1)  # a single pixel lies at the reference
         return self.reference + c + e, (covariance + covariance.T) / 2.0
 
@@ -298,20 +298,20 @@ def region_statistics(cube: Cube, labels: Labels, needed: Mask, *, watch: Watch 
                 pixels, label = pixels[:, valid], label[valid]
             for key in np.flatnonzero(np.bincount(label, minlength=wanted.size) * wanted).tolist():
                 selected = pixels if label.size == np.count_nonzero(label == key) else pixels[:, label == key]
-                sums_by_label[key] = Sums.of(selected, sums_by_label.get(key), integers=cube.dtype.kind in "iu")
+                sums_by_label[key] = Sums.accumulate(selected, sums_by_label.get(key), integers=cube.dtype.kind in "iu")
         return sums_by_label
 
     # One BLAS thread to the end: a second, started for the small products there, would spin into the next pass.
     with single_blas_thread():
-        for sums_by_label in stream(cube, segment, needed=needed, watch=watch):
+        for sums_by_label in stream_blocks(cube, segment, needed=needed, watch=watch):
             while sums_by_label:  # freed one by one: 2 MB for each label
                 key, addition = sums_by_label.popitem()
                 sums[key] = sums[key].merged(addition) if key in sums else addition
-        return {name: _statistics(cube, name, labels, sums) for name in members}
+        return {name: _sample_statistics(cube, name, labels, sums) for name in members}
 
 
-def _statistics(cube: Cube, name: str, labels: Labels, sums: Mapping[int, Sums]) -> SampleStatistics:
-    """Of a region by the sums of its labels, in the unit of the cube's values."""
+def _sample_statistics(cube: Cube, name: str, labels: Labels, sums: Mapping[int, Sums]) -> SampleStatistics:
+    """Statistics of a region from the sums of its labels, in the unit of the cube's values."""
     parts = [sums[key] for key in sorted(sums) if labels.members[name][key]]
     if not parts:
         missing = np.count_nonzero(labels[name])
@@ -425,7 +425,7 @@ class PrincipalComponents:
 
 def covariance_components(covariance: Array, rng: np.random.Generator, count: int = COMPONENTS) -> PrincipalComponents:
     """Components of a covariance (B, B); directions without variance are left out."""
-    eigen = EigenDirections.of(covariance)
+    eigen = EigenDirections.from_covariance(covariance)
     values, vectors = eigen.values, eigen.vectors
     minor = vectors[:, count:] / np.sqrt(values[count:])
     mix = rng.standard_normal((minor.shape[1], MIXTURES))
@@ -588,7 +588,7 @@ def noise_part(
     expectation = np.array([[np.sum(m * part) for part in parts] for m in whitened])
     inverse = np.linalg.pinv(expectation)
     factors = inverse @ [np.sum(m * s) for m in whitened]
-    vectors, dofs = EigenDirections.of(sigma).vectors, np.atleast_1d(dof).astype(float)
+    vectors, dofs = EigenDirections.from_covariance(sigma).vectors, np.atleast_1d(dof).astype(float)
     root = (vectors * dofs[np.minimum(np.arange(vectors.shape[1]), dofs.size - 1)] ** -0.25) @ vectors.T
     fitted = [root @ (max(float(f), 0.0) * part) @ root for f, part in zip(factors, parts, strict=True)]
     # Muirhead 1982, 1.6: cov(S_ij, S_kl) of normal pixels, and what an elliptical law of the texture adds.
@@ -629,20 +629,20 @@ class EigenDirections:
     values: Array
 
     @classmethod
-    def of(cls, covariance: npt.ArrayLike) -> EigenDirections:
-        """Of a symmetric (B, B) that has some variance."""
+    def from_covariance(cls, covariance: npt.ArrayLike) -> EigenDirections:
+        """Eigenvectors of a symmetric (B, B) with some variance."""
         values, vectors = np.linalg.eigh(np.asarray(covariance, dtype=float))
         values, vectors = values[::-1], vectors[:, ::-1]
         keep = values > SMALLEST_PART * max(float(values[0]), 0.0)
         return cls(np.ascontiguousarray(vectors[:, keep]), values[keep])
 
-    def factor_of(self, covariance: npt.ArrayLike) -> Array:
+    def whitened_factor(self, covariance: npt.ArrayLike) -> Array:
         """F (P, m) with F F^T another covariance (B, B) in these directions, the identity where it is the same."""
-        other = EigenDirections.of(covariance)
+        other = EigenDirections.from_covariance(covariance)
         return np.asarray((self.vectors / np.sqrt(self.values)).T @ (other.vectors * np.sqrt(other.values)))
 
 
-class Statistics(NamedTuple):
+class CovarianceStatistics(NamedTuple):
     """Statistics of a covariance S compared with those of Sigma, the predicted; for draws with a leading axis of draws.
 
     Attributes
@@ -657,16 +657,16 @@ class Statistics(NamedTuple):
     angles_deg: Array
 
 
-def statistics_of_covariance(
+def covariance_statistics(
     directions: EigenDirections, factor: Array, count: int, spaces: tuple[int, ...]
-) -> Statistics:
+) -> CovarianceStatistics:
     """The statistics of S = V D^1/2 F F^T D^1/2 V^T with F (P, m) in the predicted ``directions``.
 
     ``count`` leading eigenvalues, and the angles of ``spaces``, by the Gram matrix (m, m) of D^1/2 F.
     """
     scaled = np.sqrt(directions.values)[:, None] * factor
     eigenvalues, angles = _eigen_angles(scaled.T @ scaled, scaled[: max(spaces, default=0)], count, spaces, 0.0)
-    return Statistics(eigenvalues, np.asarray(np.sum(scaled**2)), angles)
+    return CovarianceStatistics(eigenvalues, np.asarray(np.sum(scaled**2)), angles)
 
 
 def _eigen_angles(gram: Array, rows: Array, count: int, spaces: tuple[int, ...], tail: float) -> tuple[Array, Array]:
@@ -744,7 +744,7 @@ def sampling_band(
     kurtosis: float = 0.0,
     draws: int = DRAWS,
     errors: Array | None = None,
-) -> Statistics:
+) -> CovarianceStatistics:
     """Sampling distributions of the statistics under the predicted covariance; each statistic by draws of its own.
 
     The trace is drawn as a sum of chi-squares.  Eigenvalues and angles are those of the leading directions, to
@@ -804,7 +804,7 @@ def sampling_band(
     eigenvalues, angles = (np.concatenate(part) for part in zip(*parts, strict=True))
     scale_factor = np.exp(rng.normal(0.0, np.sqrt(kurtosis / n.min()), draws))
     total = np.concatenate(trace) * scale_factor * ((rng.chisquare(dof, (draws, size)) / dof) @ values)
-    return Statistics(eigenvalues, total, angles)
+    return CovarianceStatistics(eigenvalues, total, angles)
 
 
 def distance_band(
@@ -830,6 +830,6 @@ def distance_band(
     return float(np.mean(chance)), float(low), float(high)
 
 
-def full_rank(independent: npt.ArrayLike, size: int) -> bool:
+def is_full_rank(independent: npt.ArrayLike, size: int) -> bool:
     """Whether the sample is large enough for its determinant to be compared."""
     return bool(np.min(independent) >= PIXELS_PER_DIRECTION * size)

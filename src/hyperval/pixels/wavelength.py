@@ -182,7 +182,7 @@ class Shift:
     uncertainty_nm: float
 
     @property
-    def certain(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether the 95 % interval excludes 0."""
         return abs(self.nm) > Z95 * self.uncertainty_nm
 
@@ -304,7 +304,7 @@ def wavelength_shifts(spectrum: npt.ArrayLike, axis: SpectralAxis, *, reflectanc
             yield residual
         edge = red_edge(w, y)
         if np.isfinite(edge):
-            yield _shift(RED_EDGE, edge, w)
+            yield _feature_shift(RED_EDGE, edge, w)
         return
     for feature in FEATURES:
         in_feature = np.abs(w - feature.centre_nm) <= feature.half_nm
@@ -312,10 +312,10 @@ def wavelength_shifts(spectrum: npt.ArrayLike, axis: SpectralAxis, *, reflectanc
             continue
         centre, _ = absorption_centre(w, y, feature)
         if np.isfinite(centre):
-            yield _shift(feature, centre, w)
+            yield _feature_shift(feature, centre, w)
 
 
-def _shift(feature: Feature, edge_nm: float, wavelength_nm: Array) -> Shift:
+def _feature_shift(feature: Feature, edge_nm: float, wavelength_nm: Array) -> Shift:
     k = int(np.argmin(np.abs(wavelength_nm - edge_nm)))
     spacing = float(np.gradient(wavelength_nm)[k])
     u = float(np.hypot(feature.uncertainty_nm, _SAMPLING * spacing))

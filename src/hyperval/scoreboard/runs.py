@@ -25,7 +25,7 @@ from scipy import special, stats
 
 from hyperval.campaign import Campaign, Job, command_without_output, load_jobs, observe_campaign, record_of
 from hyperval.collection import Detection
-from hyperval.compare import EVERY_OBJECT, named, product_rows, row, skipped
+from hyperval.compare import EVERY_OBJECT, named, product_rows, row, skip_rows
 from hyperval.data import Array, Counts, Index
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, MissingDataError, UsageError, refusal, refuse, words_and_code
@@ -35,7 +35,7 @@ from hyperval.figures.spec import compose, figure_of_views, measured_mark, singl
 from hyperval.imagery import ImageGrid, TargetObject, raster_of_size
 from hyperval.model import AREAS, clopper_pearson, predict
 from hyperval.observe import Observed, Place, map_name, open_place, scored_part, target_groups
-from hyperval.pixels import LEAST_EXPECTED_ALARMS, AlarmBlocks, detect, interval_of_mean, object_scores
+from hyperval.pixels import LEAST_EXPECTED_ALARMS, AlarmBlocks, area_interval, detect, object_scores
 from hyperval.products import Products
 from hyperval.progress import step, track
 from hyperval.report.html import page
@@ -102,7 +102,7 @@ class BlockCounts:
 def counts_by_block(scores: Array, background: AlarmBlocks) -> tuple[Counts, Counts]:
     """(P, K) background scores above, and equal to, each of the scores (P,), in each block."""
     falling, place = np.unique(-scores, return_inverse=True)
-    above, reached = (background.counts(x) for x in (-falling, np.nextafter(-falling, -np.inf)))
+    above, reached = (background.counts_above(x) for x in (-falling, np.nextafter(-falling, -np.inf)))
     return above[place], (reached - above)[place]
 
 
@@ -318,7 +318,7 @@ def _limits(item: Index, parts: Array, still: Array, n: int) -> Array:
     for part, moved in zip(parts.T, still, strict=True):
         of_object = np.bincount(item, part) / np.bincount(item)
         spread = float(of_object.var(ddof=1)) / of_object.size if of_object.size > 1 else 0.25
-        limits.append(interval_of_mean(of_object, spread, float(moved.var(ddof=1)), n))
+        limits.append(area_interval(of_object, spread, float(moved.var(ddof=1)), n))
     return np.array(limits).T
 
 
@@ -404,7 +404,7 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
         valid = found.all(axis=0)
         missing[0] += (found.any(axis=0) & ~found).sum(axis=1)
         index = {name: len(item) + i for i, name in enumerate(compress(objects, valid))}
-        blocks = [AlarmBlocks.of_map(one, counted) for one in used[target]]
+        blocks = [AlarmBlocks.from_map(one, counted) for one in used[target]]
         pairs = [counts_by_block(scores[valid], each) for scores, each in zip(greatest, blocks, strict=True)]
         counts.append(np.array(pairs).transpose(1, 2, 0, 3))
         item += [number.setdefault(name, len(number)) for name in index]
@@ -418,7 +418,7 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
         for name, m, n in zip(names, *missing.tolist(), strict=True)
         if m or n
     )
-    return BlockCounts(names, over, tie, blocks[0].pixels, np.array(item, dtype=np.intp), group, density, lost)
+    return BlockCounts(names, over, tie, blocks[0].block_sizes, np.array(item, dtype=np.intp), group, density, lost)
 
 
 def detector_rows(
@@ -428,7 +428,7 @@ def detector_rows(
     place = observed.place
     if detection is None or place is None or observed.detected is None:
         why = "the campaign looks for no targets"
-        return list(named(skipped(Cause.NO_OBSERVATION, why, "rank"), PRODUCT, EVERY_OBJECT, "detectors")), ()
+        return list(named(skip_rows(Cause.NO_OBSERVATION, why, "rank"), PRODUCT, EVERY_OBJECT, "detectors")), ()
     maps = observed.detected.score_maps
     rows = list(side_rows(observed.observation, "measured"))
     counts = block_counts(place, maps, detection)
@@ -440,7 +440,7 @@ def detector_rows(
                 ranks = rank_detectors(counts, list(columns), measure, draws=DRAWS, rng=np.random.default_rng(seed))
                 rows += rank_rows(name, counts, measure, ranks)
     for name, reason in left_out.items():
-        rows += named(skipped(Cause.REFUSED, reason, "rank"), PRODUCT, EVERY_OBJECT, f"{name}/object")
+        rows += named(skip_rows(Cause.REFUSED, reason, "rank"), PRODUCT, EVERY_OBJECT, f"{name}/object")
     return rows, tuple(f"warning: {what}" for what in counts.lost)
 
 
@@ -467,7 +467,7 @@ def rank_rows(group: str, counts: BlockCounts, measure: Measure, ranks: RankedDe
     why = "every target at the same P_FA through its own filter; objects and blocks of the background sampled"
     scale, unit = (counts.density_km2, "km-2") if measure.of_look is None else (1.0, "1")
     if group == EVERY_OBJECT and math.isnan(scale):
-        unknown = skipped(Cause.NO_GROUND_AREA, "the ground area of the background is not known", name)
+        unknown = skip_rows(Cause.NO_GROUND_AREA, "the ground area of the background is not known", name)
         rows += named(unknown, PRODUCT, group, "detectors")
     for d, detector in enumerate(counts.detectors):
         value, *ends = (float(each[d]) * scale for each in (ranks.value, ranks.lower, ranks.upper))
@@ -501,7 +501,7 @@ def peer_rows(observed: Observed, detection: Detection | None) -> list[Result]:
     cube, bands = place.cube, np.flatnonzero(detected.bank.bands)
     if cube.lines * cube.samples * bands.size > detect.MOST_VALUES:
         why = f"SPy holds the image in memory, and it has more than {detect.MOST_VALUES:.0e} values"
-        return list(named(skipped(Cause.REFUSED, why, "auc"), PRODUCT, EVERY_OBJECT, PEER))
+        return list(named(skip_rows(Cause.REFUSED, why, "auc"), PRODUCT, EVERY_OBJECT, PEER))
     image = np.concatenate([block.values[..., bands] for block in cube.blocks()])
     if place.line is not None:
         image = (image - place.line.offset[bands]) / place.line.gain[bands]
@@ -520,7 +520,7 @@ def peer_rows(observed: Observed, detection: Detection | None) -> list[Result]:
         for subject, objects in subjects.items():
             pixels = np.concatenate([scores[o.window][o.part] for o in objects])
             pixels = pixels[np.isfinite(pixels)]
-            found = skipped(Cause.NO_OBSERVATION, "no valid pixel on the targets or in the background", "auc")
+            found = skip_rows(Cause.NO_OBSERVATION, "no valid pixel on the targets or in the background", "auc")
             if pixels.size and noise.size:
                 share = stats.mannwhitneyu(pixels, noise).statistic / (pixels.size * noise.size)
                 found = [row("auc", float(share), n=int(pixels.size), reason=version)]

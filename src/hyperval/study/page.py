@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from hyperval.data import Array, Index
 from hyperval.figures.spec import SOURCES, VIRIDIS, Axis, ColourScale, Figure, Mark, Panels, Part, palette_colours
-from hyperval.model import reads_again
+from hyperval.model import is_reread
 from hyperval.report.html import page
 from hyperval.report.verdict import number_text
 from hyperval.results import Cause, Outcome, Result, ResultTable
@@ -362,5 +362,5 @@ def study_page(
         knees=knees[:_MOST_KNEES], knees_left_out=max(0, len(knees) - _MOST_KNEES), why=why,
         listed={i.name: np.asarray(i.listed_values).tolist() for i in study.inputs if i.listed_values is not None},
         most_values=_MOST_VALUES, reasons=reasons.most_common(_MOST_REASONS), values=values_text, number=number_text,
-        text=_text, anew=[path for path in moved if reads_again(plan.world.stated, path)], ground=GROUND, gas=LEAST_GAS,
+        text=_text, anew=[path for path in moved if is_reread(plan.world.stated, path)], ground=GROUND, gas=LEAST_GAS,
     )  # fmt: skip

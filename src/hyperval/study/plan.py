@@ -22,8 +22,8 @@ from hyperval.model import Evaluation, Origins, World, evaluations, read_world, 
 from hyperval.model.forward import reflectances
 from hyperval.model.radiance import Light, mean_radiance
 from hyperval.model.roc import WHOLE, RocArea
-from hyperval.model.stated import plain, state_entries
-from hyperval.model.world import check_numbers, column_of, in_file
+from hyperval.model.stated import scalar, state_entries
+from hyperval.model.world import as_column, check_numbers, is_in_file
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis
@@ -91,7 +91,7 @@ def path_values(inputs: Sequence[Moving], columns: Mapping[str, Column]) -> dict
         column, moves = columns[item.name], item.entries
         for k, move in enumerate(moves):
             single = (v[k] if isinstance(v, list) and len(moves) > 1 else v for v in column)
-            out[move.path] = move.apply(column) if column.dtype != object else column_of(list(map(move.apply, single)))
+            out[move.path] = move.apply(column) if column.dtype != object else as_column(list(map(move.apply, single)))
     return out
 
 
@@ -160,13 +160,13 @@ def saturation(e: Evaluation) -> dict[int, str]:
     """Truth -> which subjects pass full scale there, in some band of their mean radiance."""
 
     def saturates(light: Light, rho: Array) -> Array:
-        part = needed(light.noise, "scenario.noise").full_scale_fraction(light.level(rho))
+        part = needed(light.noise, "scenario.noise").full_scale_fraction(light.signal(rho))
         return np.asarray(np.any(part > 1.0, axis=(1, 2)))
 
-    noise, brightest = e.light.noise, np.fmax.reduce(e.at.mean, axis=1, keepdims=True)  # of surfaces and mixtures
+    noise, brightest = e.light.noise, np.fmax.reduce(e.light_world.mean, axis=1, keepdims=True)  # surfaces, mixtures
     if noise is None or noise.full_scale is None or not saturates(e.light, brightest).any():
         return {}
-    light, each = e.light.rows(e.which), reflectances(e).items()
+    light, each = e.light.rows(e.light_index), reflectances(e).items()
     passed = {name: np.broadcast_to(saturates(light, rho), (len(e),)) for name, (rho, _) in each}
     by_truth = {u: [name for name, where in passed.items() if where[u]] for u in range(len(e))}
     return {u: f"SATURATION: full scale is passed by {', '.join(names)}" for u, names in by_truth.items() if names}
@@ -182,10 +182,10 @@ def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> 
     --------
     >>> world = read_world(with_settings(load_scenario("panels"), {"atmosphere.engine": "emulator"}))
     >>> snr = Output(name="snr", kind="snr", subject="grass", band_nm=550.0)
-    >>> values, _ = output_values(world, {"sensor.noise": column_of([None, 2.0])}, [snr])
+    >>> values, _ = output_values(world, {"sensor.noise": as_column([None, 2.0])}, [snr])
     >>> round(float(values[0, 0] / values[1, 0]), 6)
     2.0
-    >>> output_values(world, {"sensor_changes.signal_factor": column_of([1.0, 2.0])}, [snr])[1]
+    >>> output_values(world, {"sensor_changes.signal_factor": as_column([1.0, 2.0])}, [snr])[1]
     {1: 'SATURATION: full scale is passed by grass, white panel, grey panel 48'}
     """
     n = len(next(iter(columns.values())))
@@ -284,7 +284,7 @@ def check_changes(world: World, changes: dict[str, Any]) -> None:
     check_numbers(world, changes)
     entries = file_entries(world.stated.scenario, {path: v for path, v in changes.items() if isinstance(v, Real)})
     entries |= {path: v for path, v in changes.items() if not path.endswith("_zenith_deg")}
-    with_settings(world.stated.scenario, {path: v for path, v in (changes | entries).items() if in_file(path)})
+    with_settings(world.stated.scenario, {path: v for path, v in (changes | entries).items() if is_in_file(path)})
 
 
 def file_entries(scenario: Scenario, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -304,7 +304,7 @@ def file_entries(scenario: Scenario, values: Mapping[str, Any]) -> dict[str, Any
 
 def point_values(item: Moving, value: Any) -> dict[str, Any]:
     """Dotted path -> what stands there where an input has a value; None where an entry is left as it is."""
-    return {path: plain(column[0]) for path, column in path_values([item], {item.name: column_of([value])}).items()}
+    return {path: scalar(column[0]) for path, column in path_values([item], {item.name: as_column([value])}).items()}
 
 
 def values_to_try(item: Input | Required) -> list[Any]:
@@ -334,7 +334,7 @@ def plan_states(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str,
     if len(listed) + len(asked) == len(items) and few:
         columns, keys = path_values(listed, input_values(alone)), {m.path: key for i, m, key in moving if i in listed}
         each = zip(*(columns[path].tolist() for path in keys), strict=True)
-        rows = [{key: plain(v) for key, v in zip(keys.values(), row, strict=True) if v is not None} for row in each]
+        rows = [{key: scalar(v) for key, v in zip(keys.values(), row, strict=True) if v is not None} for row in each]
         return list({repr(sorted(row.items())): row for row in rows or [{}]}.values()), {}
     nodes = dict[str, tuple[float, ...]]()
     for item, move, key in moving:

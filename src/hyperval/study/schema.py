@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from hyperval.config import FileModel, Model, OneOf, load_model, twice, unknown
 from hyperval.errors import reader, refuse
-from hyperval.model.world import column_of
+from hyperval.model.world import as_column
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$", max_length=60)]
 Probability = Annotated[float, Field(gt=0, lt=1)]
@@ -125,7 +125,7 @@ class Input(Moving, OneOf):
         if self.grid is not None:
             spaced = np.geomspace if self.grid.spacing == "log" else np.linspace
             return spaced(self.grid.start, self.grid.stop, self.grid.count)
-        return column_of(self.values) if self.values is not None else None
+        return as_column(self.values) if self.values is not None else None
 
     def is_axis(self, scale: str) -> bool:
         """Whether its values are numbers, which on a logarithmic scale lie above 0.

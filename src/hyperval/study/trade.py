@@ -25,11 +25,11 @@ from hyperval.data import LINEAR_DETECTORS, Array, Mask
 from hyperval.datasets import resolve
 from hyperval.errors import UsageError, package_table, refusal, refuse
 from hyperval.figures.spec import CURVES, PREDICTED, WAVELENGTH, Axis, Figure, Mark, Panels, Part, Rules, figure_json
-from hyperval.model import Origins, World, evaluations, every_path, predict, read_world, value_at, with_values
+from hyperval.model import Origins, World, all_paths, evaluations, predict, read_world, value_at, with_values
 from hyperval.model.intervals import Z95
 from hyperval.model.radiance import mean_radiance
 from hyperval.model.roc import detection_at
-from hyperval.model.world import column_of, fits, in_file, with_truths
+from hyperval.model.world import as_column, is_in_file, matches_path, with_truths
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.settings import numbers_of, path_parts, setting, with_settings
@@ -185,9 +185,9 @@ def prepare(source: str, trade: Trade) -> Setup:
 
 
 def _trade_inputs(world: World) -> Iterator[TradeInput]:
-    known_paths, state = every_path(world), world.stated.scenario.atmosphere
+    known_paths, state = all_paths(world), world.stated.scenario.atmosphere
     for row in (TradeInput(group=group, **row) for group, rows in OFFERED["inputs"].items() for row in rows):
-        paths = [path for path in known_paths if fits(row.path, path)]
+        paths = [path for path in known_paths if matches_path(row.path, path)]
         if not paths and "now" in row.model_fields_set and (state is not None or row.path == plan.PFA):
             paths = [row.path]
         for members in [tuple(paths)] if row.together and paths else [(path,) for path in paths]:
@@ -234,7 +234,7 @@ def complete(trade: Trade, p: Setup) -> Trade:
         ("x", [x], p.inputs), ("y", [trade.y], ("", *p.inputs)), ("subject", trade.subject, p.targets + p.surfaces),
         ("sensor", trade.sensor, p.sensors), ("background", trade.background, p.backgrounds),
         ("detector", [trade.detector], ("", *LINEAR_DETECTORS)),
-        ("moved", trade.moved, [key for key in p.inputs if in_file(key)]),  # which the study can set
+        ("moved", trade.moved, [key for key in p.inputs if is_in_file(key)]),  # which the study can set
     ):  # fmt: skip
         wrong = [name for name in names if name not in valid]
         refuse(wrong, "trade.unknown", field, wrong=wrong, known=", ".join(filter(None, valid)))
@@ -391,7 +391,7 @@ def _families(p: Setup, trade: Trade) -> tuple[dict[str, Any], list[str]]:
     """
     inputs = _overlays(p, trade)
     rows = list(product(*(i.values or [] for i in inputs)))
-    columns = plan.path_values(inputs, {i.name: column_of([row[k] for row in rows]) for k, i in enumerate(inputs)})
+    columns = plan.path_values(inputs, {i.name: as_column([row[k] for row in rows]) for k, i in enumerate(inputs)})
     names = [", ".join(str(row[k]) for k, i in enumerate(inputs) if len(i.values or []) > 1) for row in rows]
     several = len(trade.subject) > 1
     labels = [", ".join(filter(None, (s if several or not n else "", n))) for n in names for s in trade.subject]

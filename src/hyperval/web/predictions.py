@@ -24,7 +24,7 @@ from starlette.responses import JSONResponse, RedirectResponse, Response, Stream
 from hyperval.config import Model
 from hyperval.data import LINEAR_DETECTORS
 from hyperval.errors import UsageError
-from hyperval.model import in_file
+from hyperval.model import is_in_file
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.settings import with_settings
@@ -391,7 +391,7 @@ def _check_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...])
         if len(values) > MOST_TRIED:
             yield FieldMistake(f"{where}.values", f"{len(values)} that are no numbers; at most {MOST_TRIED} are taken")
         for value in values[:MOST_TRIED]:
-            point = {path: v for path, v in point_values(item, value).items() if v is not None and in_file(path)}
+            point = {path: v for path, v in point_values(item, value).items() if v is not None and is_in_file(path)}
             named = {path: point[path] for path in sorted(point) if path.partition(".")[0] in Scenario.model_fields}
             tries.append((f"{where}.path", named))
     for field, moves in tries:
