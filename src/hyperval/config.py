@@ -24,7 +24,7 @@ MAX_BYTES = 1 << 20
 MAX_DEPTH = 32
 _MAX_DIGITS = 300  # a number of more is none that a calculation can hold
 MAX_NODES = 40_000  # keys and values
-MOST_MISTAKES = 20  # that are listed
+MAX_MISTAKES = 20  # that are listed
 # A value that begins so is one that the user has still to give: "FILL_IN: what it is".
 FILL_IN = "FILL_IN"
 UNITS, _EXPECTED, _GONE = (package_table("keys.yaml")[name] for name in ("units", "expected", "gone"))
@@ -332,8 +332,8 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
         where = f"{name}:{line}" if lines else name
         problems.append((line, ": ".join(filter(None, (where, ".".join(map(str, location)), text)))))
     if problems:
-        listed, more = [text for _, text in sorted(problems)], len(problems) - MOST_MISTAKES
-        raise UsageError("\n  ".join([*listed[:MOST_MISTAKES], *([f"and {more} more"] if more > 0 else [])])) from cause
+        listed, more = [text for _, text in sorted(problems)], len(problems) - MAX_MISTAKES
+        raise UsageError("\n  ".join([*listed[:MAX_MISTAKES], *([f"and {more} more"] if more > 0 else [])])) from cause
     return loaded
 
 
@@ -381,7 +381,7 @@ def mistakes_in(
         elif kind in _EXPECTED:
             expected.setdefault(path, []).append(_EXPECTED[kind].format(**item.get("ctx", {})))
         elif kind == "extra_forbidden":  # a suggestion takes long: for the listed ones alone
-            yield path, _unknown_key(path, model if number < MOST_MISTAKES else None)
+            yield path, _unknown_key(path, model if number < MAX_MISTAKES else None)
         elif kind == "string_pattern_mismatch":
             first, letters = (re.findall(r"\w-\w|.", part) for part in re.findall(r"\[(.*?)\]", item["ctx"]["pattern"]))
             yield path, f"expected a name of {' '.join(letters)}, a letter {'or digit ' if '0-9' in first else ''}first"

@@ -18,7 +18,7 @@ Counts = npt.NDArray[np.int64]
 
 LINEAR_DETECTORS = ("cem", "matched-filter", "smf", "cem-correlation")  # scores that are linear in the pixel
 NUMERICAL_DETECTORS = ("ace",)  # scores whose law has no closed form
-MOST_COMPONENTS = 64
+MAX_COMPONENTS = 64
 
 
 def equals(stored: npt.NDArray[Any], ignore: float) -> Mask:
@@ -105,9 +105,9 @@ class Components:
         arrays = self.weights, self.offsets, self.covariances
         weights, offsets, covariances = (np.asarray(array, dtype=float) for array in arrays)
         count, bands = offsets.shape if offsets.ndim == 2 else (0, 0)
-        if weights.shape != (count,) or covariances.shape != (count, bands, bands) or not 0 < count <= MOST_COMPONENTS:
+        if weights.shape != (count,) or covariances.shape != (count, bands, bands) or not 0 < count <= MAX_COMPONENTS:
             shapes = {"weights": weights.shape, "offsets": offsets.shape, "covariances": covariances.shape}
-            raise refusal("components.shapes", **shapes, most=MOST_COMPONENTS)
+            raise refusal("components.shapes", **shapes, most=MAX_COMPONENTS)
         refuse(not all(np.all(np.isfinite(x)) for x in (weights, offsets, covariances)), "components.finite")
         if np.any(weights <= 0) or abs(float(weights.sum()) - 1.0) > 1e-6:
             raise refusal("components.weights", weights=np.array2string(weights, precision=4))

@@ -297,7 +297,7 @@ def row_name(row: Result) -> str:
     return " ".join(filter(None, row.key.split(SEPARATOR)[1:]))
 
 
-_LEAST_WIDTH = 1e-3  # half width of an interval, as a part of the value
+_MIN_WIDTH = 1e-3  # half width of an interval, as a part of the value
 
 
 @dataclass(frozen=True)
@@ -348,7 +348,7 @@ class Pair:
         (nan, 0.9998)
         """
         halves = [(r.upper - r.lower) / 2 for r in (self.a, self.b) if r]
-        return max((max(h, _LEAST_WIDTH * self._value) for h in halves if 0 < h < math.inf), default=math.nan)
+        return max((max(h, _MIN_WIDTH * self._value) for h in halves if 0 < h < math.inf), default=math.nan)
 
     @property
     def _value(self) -> float:

@@ -11,7 +11,7 @@
 
 The folder of several campaigns has a folder for each.  Its tables are joined from theirs, text by text, and its
 ``results.json`` names them, so that neither writing nor opening it needs more memory than its largest campaign and
-the text of ``MOST_JOINED`` rows.
+the text of ``MAX_JOINED`` rows.
 
 Numbers are written as their shortest exact representation, and the same run gives the same bytes.
 
@@ -65,7 +65,7 @@ SIDES = {"predicted": PredictedProducts, "observed": ObservedProducts}
 SCHEMA_VERSION = 4
 SECONDS_PER_YEAR = 365.2425 * 86400.0
 MAX_BYTES = 500_000_000  # of a table that is read
-MOST_JOINED = 200_000  # rows that the results.json of several campaigns repeats
+MAX_JOINED = 200_000  # rows that the results.json of several campaigns repeats
 TABLE, PRODUCTS, PROVENANCE, PAGE, JUNIT, CSV = (
     "results.json", "products.nc", "provenance.json", "report.html", "junit.xml", "results.csv",
 )  # fmt: skip
@@ -391,8 +391,8 @@ def write_joined(
     for name in names:
         head, _, listed = (parts / name / TABLE).read_text("utf-8").partition(_ROWS)
         counts.update(json.loads(head.removesuffix(",\n") + "}" if listed else head)["counts"])
-        lines += [listed.removesuffix("\n ]\n}\n")] if listed and counts.total() <= MOST_JOINED else []
-    write_text(folder / TABLE, _document(lines if counts.total() <= MOST_JOINED else [], counts, {"runs": list(names)}))
+        lines += [listed.removesuffix("\n ]\n}\n")] if listed and counts.total() <= MAX_JOINED else []
+    write_text(folder / TABLE, _document(lines if counts.total() <= MAX_JOINED else [], counts, {"runs": list(names)}))
     write_text(folder / JUNIT, junit_xml(planned))
     write_text(folder / PAGE, page)
 

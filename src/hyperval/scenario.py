@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from hyperval.atmosphere import AtmosphericState
 from hyperval.config import FileModel, Model, OneOf, file_of, load_model, shipped, twice, unknown
-from hyperval.data import LINEAR_DETECTORS, MOST_COMPONENTS, NUMERICAL_DETECTORS
+from hyperval.data import LINEAR_DETECTORS, MAX_COMPONENTS, NUMERICAL_DETECTORS
 from hyperval.errors import reader
 from hyperval.sensor.specification import SensorChanges, SensorOperation
 from hyperval.settings import with_settings
@@ -265,7 +265,7 @@ class BackgroundClass(Surface):
     tail_dof: Annotated[float, Field(gt=2)] | Literal["measured"] | None = Field(
         None, title="degrees of freedom of the tails", description="of a multivariate t, or as the measured region has"
     )
-    mixture: Annotated[int, Field(ge=1, le=MOST_COMPONENTS)] | Literal["auto"] | None = Field(
+    mixture: Annotated[int, Field(ge=1, le=MAX_COMPONENTS)] | Literal["auto"] | None = Field(
         None,
         description="components of the law of its scores, fitted to the measured region or stored "
         "in the statistics library; auto: as many as predict other parts of the image best, or all that are "

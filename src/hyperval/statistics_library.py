@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.data import MOST_COMPONENTS, Array, Components, check_covariances, statistics_of
+from hyperval.data import MAX_COMPONENTS, Array, Components, check_covariances, statistics_of
 from hyperval.errors import reader, refuse, told_of
 from hyperval.hdf5 import opened_netcdf
 from hyperval.paths import checked_file
@@ -31,7 +31,7 @@ from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import whole_file
 
 MAX_BYTES = 512 << 20
-_MOST = {"band": 5000, "class": 1000, "component": MOST_COMPONENTS}
+_MOST = {"band": 5000, "class": 1000, "component": MAX_COMPONENTS}
 _AXES = {
     "wavelength": "band", "fwhm": "band", "good_band": "band", "class_name": "class", "mean": "class band",
     "covariance": "class band band_2", "n": "class", "source": "class", "tail_dof": "class",

@@ -34,7 +34,7 @@ def test_transmittances_go_with_the_amounts_and_beyond_the_states_with_their_roo
     flat = ratio(0.1, 0.2)
     assert flat.gas(1.5, 2.0) == pytest.approx(np.exp(-0.1 * 1.5 - 0.2 * 2.0))
     depth = lambda u: -np.log(flat.gas(0.0, u)[0]) / 0.2  # noqa: E731
-    edge = air.GREATEST_WATER_G_CM2
+    edge = air.MAX_WATER_G_CM2
     assert depth(edge + 1e-6) == pytest.approx(edge + 1e-6, abs=1e-9)  # neither a jump nor a kink
     assert depth(4.0 * edge) == pytest.approx(3.0 * edge)
 

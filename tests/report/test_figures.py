@@ -200,7 +200,7 @@ def test_the_subject_that_disagrees_stands_first_and_their_number_is_bounded(run
     assert [view.subject for view in figure.views] == ["lawn", "grass"]
     many = make_run(bands=6, subjects=[f"s{i}" for i in range(30)], curves=0, shape=(4, 4))
     figure = figures.spectra_figure(many.pair, "snr")
-    assert len(figure.views) == figures.MOST_SUBJECTS
+    assert len(figure.views) == figures.MAX_SUBJECTS
     assert figure.title.endswith("; 24 of 30 shown, all in products.nc")
 
 

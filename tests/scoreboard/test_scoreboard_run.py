@@ -137,7 +137,7 @@ def test_a_function_an_estimator_and_a_map_made_elsewhere_have_rows_and_what_is_
     for subject, method, metric in compared:
         same = every[subject, method.replace("of-the-image", "cem"), metric]["value"]
         assert float(every[subject, method, metric]["value"]) == pytest.approx(float(same), abs=1e-9), (method, subject)
-    monkeypatch.setattr("hyperval.pixels.detect.MOST_VALUES", 1000)
+    monkeypatch.setattr("hyperval.pixels.detect.MAX_VALUES", 1000)
     assert run(path, "--extend", tmp_path / "own.py", "-o", tmp_path / "too-large") == 0
     refused = {r["method"]: r["reason"] for r in rows_of(tmp_path / "too-large") if r["outcome"] == "skipped"}
     assert "need the whole image at once" in refused["of-the-image/object"]

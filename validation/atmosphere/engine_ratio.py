@@ -28,11 +28,11 @@ from hyperval.datasets import cache_root
 CONTINUUM_NM = (
     377, 407, 437, 452, 557, 617, 677, 752.5, 782.6, 872.7, 1008, 1038, 1053, 1248.4, 1563.9, 1624, 2134.9, 2240.1
 )  # fmt: skip
-LEAST_TRANSMITTANCE = 0.02  # below it MODTRAN prints too few digits, and nothing can be seen
+MIN_TRANSMITTANCE = 0.02  # below it MODTRAN prints too few digits, and nothing can be seen
 WINDOW = 0.95
 SMOOTH_NM = 30.0
 PATH_NM = (600.0, 700.0, 1700.0)  # scalar and vector Rayleigh light differ below; emission counts beyond
-LEAST_AOT = 0.1  # for the path: thinner haze is mostly above the aircraft
+MIN_AOT = 0.1  # for the path: thinner haze is mostly above the aircraft
 PASSES = 2
 HEAD = """What MODTRAN 6 has over 6S V2.1, by validation/atmosphere/engine_ratio.py from airborne channel files:
 isofit/isofit examples/topoflux/lut and isofit/isofit-tutorials 20171108_Pasadena (Apache-2.0).
@@ -88,7 +88,7 @@ def _gas(pairs: Sequence[Pair], ratio: EngineRatio) -> tuple[np.ndarray, np.ndar
     anchors = [int(np.argmin(np.abs(nm - x))) for x in CONTINUUM_NM]
     for pair in pairs:
         ours, theirs = pair.ours(ratio), pair.theirs
-        known = (theirs.direct > 0.0) & (theirs.gas_transmittance > LEAST_TRANSMITTANCE)
+        known = (theirs.direct > 0.0) & (theirs.gas_transmittance > MIN_TRANSMITTANCE)
         log = np.log(np.where(known, ours.direct, 1.0) / np.where(known, theirs.direct, 1.0))
         rows.append(log - np.interp(np.log(nm), np.log(nm[anchors]), log[anchors]))
         seen.append(known)
@@ -113,7 +113,7 @@ def _path(pairs: Sequence[Pair], ratio: EngineRatio) -> np.ndarray:
     nm = pairs[0].theirs.wavelength_nm
     factors, window = [], np.ones(nm.size, dtype=bool)
     for pair in pairs:
-        if pair.case.albedos is None or pair.case.state.aot550 < LEAST_AOT:
+        if pair.case.albedos is None or pair.case.state.aot550 < MIN_AOT:
             continue
         twice = EngineRatio(nm, ratio.dry, ratio.water, 2.0 * ratio.path, ratio.albedo)
         once = pair.ours(ratio).path_radiance

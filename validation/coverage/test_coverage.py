@@ -22,7 +22,7 @@ import study
 # Least number covered of n at 95 %: P(X < 51 of 60) = 7e-4, P(X < 24 of 30) = 6e-4.
 LEAST = {60: 51, 30: 24}
 # Greatest number rejected of 60 at 5 %: P(X > 9) = 7e-4.
-MOST_REJECTED = 9
+MAX_REJECTED = 9
 
 pytestmark = pytest.mark.slow
 
@@ -57,7 +57,7 @@ def test_consistency_test_rejects_tilted_collections_and_few_others(found):
         if o.wanted == FOUND:
             assert o.share > 0.8, o  # P(X <= 48 of 60) = 3e-6 at the 97 % of the whole study
         else:
-            assert o.share <= MOST_REJECTED / 60, o
+            assert o.share <= MAX_REJECTED / 60, o
 
 
 def test_whole_campaigns_without_error_meet_their_criteria_and_stand_first():

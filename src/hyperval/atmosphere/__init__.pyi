@@ -19,7 +19,7 @@ from .modtran import (
     terms_from_runs,
 )
 from .physics import (
-    GREATEST_WATER_G_CM2,
+    MAX_WATER_G_CM2,
     OXYGEN,
     EngineRatio,
     amounts,
@@ -50,7 +50,7 @@ from .table import ENGINES, AtmosphericTable, atmospheric_terms, build_table, re
 from .terms import AtmosphericTerms, cached
 
 __all__ = [
-    "ENGINES", "GREATEST_WATER_G_CM2", "NODES_NM", "OXYGEN", "RADIANCE_COLUMNS", "AerosolMix", "AtmosphericState",
+    "ENGINES", "MAX_WATER_G_CM2", "NODES_NM", "OXYGEN", "RADIANCE_COLUMNS", "AerosolMix", "AtmosphericState",
     "AtmosphericTable", "AtmosphericTerms", "EngineRatio", "Modtran", "aerosol_extinction", "amounts",
     "aot550_from_range", "atmospheric_terms", "binary_coefficient", "build_table", "cached", "collision_column",
     "configured_modtran", "distance_on_day", "earth_sun_distance_au", "engine_ratio", "extraterrestrial_irradiance",

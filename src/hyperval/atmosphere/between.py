@@ -200,7 +200,7 @@ def interpolated_terms(
     return InterpolatedTerms(axes, values, runs[0], star)
 
 
-_LEAST_TERM = 1e-12  # of a term of which a logarithm or a ratio is taken [1]
+_MIN_TERM = 1e-12  # of a term of which a logarithm or a ratio is taken [1]
 # rms error of the path [1] halfway between two nodes a factor of four apart; it grows with the logarithm of it.
 PATH_ERROR, AT_RATIO = 0.02, 4.0
 
@@ -224,8 +224,8 @@ def between_aerosols(
     low, high = ({name: array[i + k] for name, array in values.items()} for k in (0, 1))
     between = {name: _straight(low[name], high[name], v) for name in values}
     between["path"] = _straight(low["path"], high["path"], w)
-    lit = (low["ground"] > _LEAST_TERM) & (high["ground"] > _LEAST_TERM)
-    lit &= (low["direct"] > _LEAST_TERM) & (high["direct"] > _LEAST_TERM)
+    lit = (low["ground"] > _MIN_TERM) & (high["ground"] > _MIN_TERM)
+    lit &= (low["direct"] > _MIN_TERM) & (high["direct"] > _MIN_TERM)
     g = [np.where(lit, part["ground"], 1.0) for part in (low, high)]
     a = [np.where(lit, part["direct"], 1.0) / x for part, x in zip((low, high), g, strict=True)]
     both = [(p["direct"] + p["adjacency"]) / x for p, x in zip((low, high), g, strict=True)]

@@ -50,7 +50,7 @@ _TABLE = package_table("atmosphere/modtran.yaml")
 RADIANCE_COLUMNS = tuple(_TABLE["tape7"]["names"])
 TOTAL_PARTS = ("thermal", "path", "ground")  # of the total radiance
 _WIDTH_STEP_NM = 1e-4  # four decimals of a width are printed
-_LEAST_RADIANCE = 1e-28  # in the unit of the file: below the range of its exponent's digits nothing adds up
+_MIN_RADIANCE = 1e-28  # in the unit of the file: below the range of its exponent's digits nothing adds up
 _SURREF = slice(73, 80)
 
 
@@ -77,7 +77,7 @@ class _Table:
         """The radiances of a run, converted; 0 where the file is blank: a term that the run did not compute."""
         added = {name: sum(np.nan_to_num(self.columns[c]) for c in columns) for name, columns in layout["sums"].items()}
         total, together = np.asarray(added["radiance"]), np.asarray(sum(added[part] for part in TOTAL_PARTS))
-        wrong = np.abs(total - together) > layout["rounding"] * np.abs(total) + _LEAST_RADIANCE
+        wrong = np.abs(total - together) > layout["rounding"] * np.abs(total) + _MIN_RADIANCE
         parts = " + ".join(column for part in TOTAL_PARTS for column in layout["sums"][part])
         self.refuse(wrong, "modtran.sum", layout=layout, parts=parts, total=total, sum=together)
         return {name: converted(np.asarray(values)) for name, values in added.items()}
@@ -234,8 +234,8 @@ def _channel_run(table: _Table) -> ModtranRun:
 
 
 _OF_THE_RUNS = {"solar_spectrum": "of the MODTRAN run", "emission": "of the black run, part of the path radiance"}
-GREATEST_ALBEDO_OF_AIR = 0.9  # a spherical albedo beyond it is rounding of a ground radiance near zero
-_LEAST_TRANSMITTANCE = 1e-4
+MAX_ALBEDO_OF_AIR = 0.9  # a spherical albedo beyond it is rounding of a ground radiance near zero
+_MIN_TRANSMITTANCE = 1e-4
 _LINES_NM = 4.0  # resolved lines: a window's level is the largest value this close to it
 _FWHM_PER_WIDTH = 2.0 * np.sqrt(np.log(2.0) / np.pi)  # 0.9394, a Gaussian of that equivalent width
 # Places between absorption bands where a channel's transmittance is scattering alone, nearly.
@@ -269,7 +269,7 @@ def solve_coefficients(
         at_low, at_high = rho[low] / ground_radiance[low], rho[high] / ground_radiance[high]
         slope = (at_high - at_low) / (rho[high] - rho[low])  # -S/A
         s = -slope / (at_low - slope * rho[low])  # over 1/A
-    valid = lit & np.isfinite(s) & (s > -0.01) & (s < GREATEST_ALBEDO_OF_AIR)
+    valid = lit & np.isfinite(s) & (s > -0.01) & (s < MAX_ALBEDO_OF_AIR)
     elsewhere = _of_neighbours(s, valid) if spherical_albedo is None else spherical_albedo
     s = np.maximum(np.where(valid, s, elsewhere), 0.0)
     from_bright = (1.0 - s * rho[high]) / rho[high]
@@ -324,7 +324,7 @@ def _terms(
 
     The ground irradiance is pi A / (direct transmittance of the path) [uW cm-2 nm-1], NaN where the path is opaque.
     """
-    opaque, width = run.transmittance <= _LEAST_TRANSMITTANCE, run.width_nm
+    opaque, width = run.transmittance <= _MIN_TRANSMITTANCE, run.width_nm
     return AtmosphericTerms(
         wavelength_nm=run.wavelength_nm,
         path_radiance=path_radiance,

@@ -33,12 +33,12 @@ from hyperval.data import Array
 FILE: Final = "engine_ratio.csv"
 # Slanted amounts up to which the states of MODTRAN reach.  Beyond them absorption grows with the root of the
 # amount, as that of strong lines does, with the slope it has there.
-GREATEST_AIR_ATM, GREATEST_WATER_G_CM2 = 1.8, 4.6
+MAX_AIR_ATM, MAX_WATER_G_CM2 = 1.8, 4.6
 # From this height on LOWTRAN's profile is the same for every haze: finer aerosol than the rural type.
 FREE_TROPOSPHERE_KM = 5.0
 # At most this part of what 6S absorbs is taken back: the absorption of strong lines grows with the root of their
 # amount, so that with half of it left more water lets no more light through.
-_GREATEST_SHARE_BACK = 0.5
+_MAX_SHARE_BACK = 0.5
 
 
 @dataclass(frozen=True)
@@ -67,18 +67,18 @@ class EngineRatio:
 
     def gas(self, air_atm: float, water_g_cm2: float) -> Array:
         """(n,) factor on the transmittance of the gases over a way with so much air and water [1]."""
-        air = _strong_line(air_atm, GREATEST_AIR_ATM)
-        return np.asarray(np.exp(-(self.dry * air + self.water * _strong_line(water_g_cm2, GREATEST_WATER_G_CM2))))
+        air = _strong_line(air_atm, MAX_AIR_ATM)
+        return np.asarray(np.exp(-(self.dry * air + self.water * _strong_line(water_g_cm2, MAX_WATER_G_CM2))))
 
     def within(self, way: Array, dry_depth: Array, water_depth: Array) -> EngineRatio:
         """The ratio of which neither part takes back more than half of the engine's depth (n,) on a way.
 
         What water has too much of in all states alike stands in ``dry``, so that both depths count for it.
         """
-        air = _strong_line(way[0], GREATEST_AIR_ATM)
-        water = _strong_line(way[1], GREATEST_WATER_G_CM2)
-        dry = np.maximum(self.dry, -_GREATEST_SHARE_BACK * (dry_depth + water_depth) / air)
-        return replace(self, dry=dry, water=np.maximum(self.water, -_GREATEST_SHARE_BACK * water_depth / water))
+        air = _strong_line(way[0], MAX_AIR_ATM)
+        water = _strong_line(way[1], MAX_WATER_G_CM2)
+        dry = np.maximum(self.dry, -_MAX_SHARE_BACK * (dry_depth + water_depth) / air)
+        return replace(self, dry=dry, water=np.maximum(self.water, -_MAX_SHARE_BACK * water_depth / water))
 
     def spherical_albedo(self, albedo: Array, molecules: Array, low_share: float) -> Array:
         """(n,) spherical albedo under rural aerosol, from the engine's ``own`` and that of the molecules alone [1].

@@ -259,23 +259,23 @@ _INFRARED_NM = 1000.0
 # Tables of haze, the second to the step before a wavelength at which 6S solves: beyond it a path of 1e-4 is printed
 # with one digit.  And the fewest nodes for which a table is the shorter way.
 _TABLES_NM = ((340.0, _INFRARED_NM), (_INFRARED_NM, 2247.5), (2252.5, 2600.0))
-_FEWEST_OF_A_TABLE = 5
+_MIN_OF_A_TABLE = 5
 
 # 6S mistreats thin aerosol under an aircraft (see validation/atmosphere/README.md): below these depths at 550 nm it is
 # run with this much, and the aerosol's part is scaled down: its path reflectance per depth changes by some 4 %
 # from 0.05 to 0.1, which in such air is below 1 % of the path radiance.
-_LEAST_DEPTH = 0.1
+_MIN_DEPTH = 0.1
 # It drops the given share below the sensor where less than 0.001 lies above it at the wavelength of the
 # run.  Beyond 1 um the depth is down to a tenth, so more is asked for there, within reason.
-_LEAST_ABOVE, _LEAST_ABOVE_INFRARED = 0.0015, 0.012
-_GREATEST_STAND_IN = 0.5
+_MIN_ABOVE, _MIN_ABOVE_INFRARED = 0.0015, 0.012
+_MAX_STAND_IN = 0.5
 _TRACE, _TRACE_NM = 0.002, (412.5, 552.5)  # the least aerosol that changes how 6S treats the molecules, and where
 _SCALE_HEIGHT_KM = 2.0  # of 6S's own aerosol, and of the trace
 # With more of the aerosol below a sensor at 1 to 5 km it takes the share of its own profile beyond 700 nm (path
 # reflectance down to a sixth), or prints no number.
-_MOST_BELOW = 0.985
-_GREATEST_SCALE_HEIGHT_KM = 4.0  # 6S clips the aerosol below the sensor to this scale height
-LEAST_GAS = 2.5e-5  # 6S prints four decimals: 0.0000 stands for less than 5e-5
+_MAX_BELOW = 0.985
+_MAX_SCALE_HEIGHT_KM = 4.0  # 6S clips the aerosol below the sensor to this scale height
+MIN_GAS = 2.5e-5  # 6S prints four decimals: 0.0000 stands for less than 5e-5
 _MIXES = {name: AerosolMix(**shares) for name, shares in _TABLE["mixes"].items()}
 
 
@@ -394,7 +394,7 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path) -> Arra
     for low, high in _TABLES_NM:
         first, last = np.searchsorted(NODES_NM, (low, high + _STEP_NM), "right")
         some_nm, each = NODES_NM[first:last], aerosols[first:last]
-        as_table = some_nm.size >= _FEWEST_OF_A_TABLE and len(set(each)) == 1
+        as_table = some_nm.size >= _MIN_OF_A_TABLE and len(set(each)) == 1
         table = f"-2\n{low / 1e3:.4f} {high / 1e3:.4f}"
         runs += [run(table, each[0], some_nm)] if as_table else singly(some_nm, each)
     hazy = _answers("haze", runs, folder)
@@ -499,11 +499,11 @@ def trusted_stand_ins(
     typed, fraction = depths_as_typed(state), state.aerosol_fraction_below
     used, share = np.clip(typed, *within), np.ones_like(typed)
     if height_km is not None:  # from space nothing is split, and nothing goes wrong
-        lowest = 1.0 - np.exp(-height_km / _GREATEST_SCALE_HEIGHT_KM)
-        most = max(min(fraction, _MOST_BELOW), lowest * (1.0 + 1e-6) + 1e-6)
-        above = np.where(NODES_NM < _INFRARED_NM, _LEAST_ABOVE, _LEAST_ABOVE_INFRARED)
-        used = np.maximum(np.maximum(used, _LEAST_DEPTH), np.minimum(above / max(1.0 - most, 1e-9), _GREATEST_STAND_IN))
-        share = np.minimum(most, 1.0 - _LEAST_ABOVE / used)
+        lowest = 1.0 - np.exp(-height_km / _MAX_SCALE_HEIGHT_KM)
+        most = max(min(fraction, _MAX_BELOW), lowest * (1.0 + 1e-6) + 1e-6)
+        above = np.where(NODES_NM < _INFRARED_NM, _MIN_ABOVE, _MIN_ABOVE_INFRARED)
+        used = np.maximum(np.maximum(used, _MIN_DEPTH), np.minimum(above / max(1.0 - most, 1e-9), _MAX_STAND_IN))
+        share = np.minimum(most, 1.0 - _MIN_ABOVE / used)
     return used, share, typed / used, typed * fraction / (used * share)
 
 
@@ -519,7 +519,7 @@ def _gas(state: AtmosphericState, setting: Setting, folder: Path) -> Arrays:
         air = "".join(["7\n", *(" ".join(f"{v:.6e}" for v in level) + "\n" for level in levels)])
         runs.append((deck(setting._replace(height_km=height), air, spectral), GRID_NM))
     tables = _answers("gas", runs, folder, lambda text, nm: {"gas": np.interp(nm, *parse_steps(text))})["gas"]
-    return dict(zip(("full", "half", "dry", "ground"), np.maximum(tables, LEAST_GAS).reshape(4, -1), strict=True))
+    return dict(zip(("full", "half", "dry", "ground"), np.maximum(tables, MIN_GAS).reshape(4, -1), strict=True))
 
 
 def _corrected(gas: Arrays, state: AtmosphericState, setting: Setting, ratio: EngineRatio | None) -> Arrays:
@@ -718,7 +718,7 @@ def gas(state: AtmosphericState, held: Arrays) -> Arrays:
         whole, half = (band_depth(numbers["water"], s * water, _MIDDLE_ATM["water"]) for s in (1.0, 0.5))
         depths.append({"dry": alone, "half": alone + half, "full": alone + whole})
     found = {**depths[1], "ground": depths[0]["full"]}
-    return {name: np.maximum(np.exp(-depth), LEAST_GAS) for name, depth in found.items()}
+    return {name: np.maximum(np.exp(-depth), MIN_GAS) for name, depth in found.items()}
 
 
 def emulated(state: AtmosphericState, held: Arrays) -> AtmosphericTerms:

@@ -65,10 +65,10 @@ AXES: dict[str, tuple[Rule | None, float]] = {
 }
 # Values that a table can be computed for only as a whole.
 NAMED = ("model", "aerosol")
-_LEAST_WIDTH_NM = 1e-3
+_MIN_WIDTH_NM = 1e-3
 _SUN = (1e-9, 1e3)  # [uW cm-2 nm-1] at 1 au: its lines reach 250, and 1e-7 is left at 0.1 mm
 _RHO = 0.3  # ground over which the error is stated
-_LEAST_GAS = 0.1  # and the two-way gas transmittance above which
+_MIN_GAS = 0.1  # and the two-way gas transmittance above which
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class AtmosphericTable:
             refuse(not np.all(np.isfinite(values)) or np.any(values < 0.0), "table.values", name=name)
         refuse(np.any(self.quantities["spherical_albedo"] >= 1.0), "table.albedo")
         for name, least, most in (
-            ("wavelength_nm", *PLAUSIBLE_NM), ("fwhm_nm", _LEAST_WIDTH_NM, nm), ("solar_irradiance", *_SUN),
+            ("wavelength_nm", *PLAUSIBLE_NM), ("fwhm_nm", _MIN_WIDTH_NM, nm), ("solar_irradiance", *_SUN),
         ):  # fmt: skip
             values = getattr(self, name)
             if values is not None:
@@ -204,7 +204,7 @@ def leave_one_out(table: AtmosphericTable) -> dict[str, dict[str, float] | None]
             keep = np.delete(np.arange(nodes.size), i)
             predicted = _along(nodes[keep], {q: v[keep] for q, v in moved.items()}, float(nodes[i]), name, place)
             exact = {q: v[i] for q, v in moved.items()}
-            clear = exact["gas"] > _LEAST_GAS
+            clear = exact["gas"] > _MIN_GAS
             errors.append((_total(predicted)[clear] / np.maximum(_total(exact)[clear], 1e-30)) - 1.0)
         ratios = np.concatenate([*errors, np.zeros(0)])
         worst, rms = np.max(np.abs(ratios), initial=0.0), np.sqrt(np.mean(ratios**2)) if ratios.size else 0.0
@@ -420,7 +420,7 @@ def _quantities(terms: AtmosphericTerms, unit: Array) -> dict[str, Any]:
     }  # fmt: skip
 
 
-_GREATEST_NODES = 20_000
+_MAX_NODES = 20_000
 _BUILT = [name for name in AXES if name in AtmosphericState.model_fields]  # an azimuth between two is no field
 
 
@@ -450,7 +450,7 @@ def build_table(
     refuse(unknown, "table.built", name=unknown, known=", ".join(_BUILT))
     nodes = {name: np.asarray(axes[name], dtype=float) for name in order}
     count = prod(n.size for n in nodes.values())
-    refuse(not 0 < count <= _GREATEST_NODES, "table.many", count=count, most=_GREATEST_NODES)
+    refuse(not 0 < count <= _MAX_NODES, "table.many", count=count, most=_MAX_NODES)
     grid = product(*(n.tolist() for n in nodes.values()))
     states = [_at_node(base, dict(zip(order, c, strict=True))) for c in grid]
     folder, rows = cache_dir or cache_root(), []

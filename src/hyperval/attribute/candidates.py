@@ -37,10 +37,10 @@ Moved = Callable[[int, Any], Truth]
 
 # Directions of an input that move all that is compared at once: of a smooth error nearly all of its variance, of a
 # rough one little.  The rest counts for each spectrum by itself (``excess_covariance``), and not for scores.
-MOST_DIRECTIONS = 8
+MAX_DIRECTIONS = 8
 # A direction that would have to move farther is no reason: stated uncertainties, usual steps, steps of a smooth gain
 # or offset (half of the radiance).
-MOST_UNITS, MOST_STEPS, MOST_SMOOTH = 10.0, 200.0, 16.0
+MAX_UNITS, MAX_STEPS, MAX_SMOOTH = 10.0, 200.0, 16.0
 SHIFT_NM = 0.2
 SINGLE_BANDS = "single bands"
 # A surface that is described by another one of its kind: part of its reflectance, over so many nm together, along
@@ -97,8 +97,8 @@ class Candidate:
     def max_units(self) -> float:
         """Units that it may go: ten stated uncertainties, 200 usual steps, or half of the radiance."""
         if self.knots_nm:
-            return MOST_SMOOTH
-        return MOST_UNITS if self.budgeted and not self.unbounded else MOST_STEPS
+            return MAX_SMOOTH
+        return MAX_UNITS if self.budgeted and not self.unbounded else MAX_STEPS
 
     @property
     def size_limits(self) -> tuple[float, float]:
@@ -218,7 +218,7 @@ def _input_candidate(item: UncertainInput, sizes: tuple[float, ...], *, budgeted
     def truth(direction: int, units: float) -> Truth:
         return item.perturbation_along(direction, units) if direction < item.size else {}
 
-    size = min(item.size, MOST_DIRECTIONS)
+    size = min(item.size, MAX_DIRECTIONS)
     return Candidate(item.name, item.kind, item.correlation, budgeted, (truth,), sizes, path=item.path, size=size)
 
 

@@ -38,11 +38,11 @@ NOTHING_PRIOR, NONE_PRIOR = 0.5, 0.05
 TYPICAL = 2.0  # units that an error has: half of all have less (Cauchy; a half-Cauchy spread of directions)
 LIKELY = 0.8  # probability from which a cause can be called enough
 CONFOUNDED_ODDS, CORRELATED = 10.0, 0.95  # odds within which causes are confounded; correlation of their effects
-MOST_FIRST, MOST_CAUSES, MOST_PEAKS = 4, 3, 4
+MAX_FIRST, MAX_CAUSES, MAX_PEAKS = 4, 3, 4
 CLOSE, GOOD_PART = 30.0, 0.25  # ln of the odds of hypotheses that are named; part of what causes explain together
 _FACTORS = np.geomspace(1.0, 1e3, 41)  # by which all uncertainties may be too small, where no candidate is right
 REMAINDER = 0.05  # of a chi-square without noise that causes may leave
-MOST_LEFT = 0.5  # of the chi-square of a change, or of what is beyond chance: what causes that are named may leave
+MAX_LEFT = 0.5  # of the chi-square of a change, or of what is beyond chance: what causes that are named may leave
 _REACH = np.geomspace(1e-3, 1.0, 60)  # of a bound: where the likelihood of a size is asked at first
 _ROUGH = 1e-11  # of the largest eigenvalue: what rounding leaves
 
@@ -221,7 +221,7 @@ class Family:
             # The likelihood may have several peaks, such as on both sides of a solstice.
             beside = np.pad(values, 1, constant_values=-np.inf)
             peaks = np.flatnonzero((values >= beside[:-2]) & (values >= beside[2:]))
-            peaks = peaks[np.argsort(-values[peaks], kind="stable")][:MOST_PEAKS]
+            peaks = peaks[np.argsort(-values[peaks], kind="stable")][:MAX_PEAKS]
             low, high = np.maximum(peaks - 1, 0), np.minimum(peaks + 1, a.size - 1)
             rough = values[peaks] - np.minimum(values[low], values[high]) >= 1.0
             if not rough.any():
@@ -392,7 +392,7 @@ class Posterior:
         """
         causes, sure = self.best.causes, sum(self.probability.get(n, 0.0) for n in (self.first_cause, *self.confounded))
         named = [c.candidate for c in causes if c.candidate is not UNKNOWN and not c.limited]
-        inside = 0 < len(named) == len(causes) < MOST_CAUSES and not any(c.fits_any_spectrum for c in named)
+        inside = 0 < len(named) == len(causes) < MAX_CAUSES and not any(c.fits_any_spectrum for c in named)
         if len(named) > 1 and named[0].unbounded:  # of a change, which has no noise, smooth pieces make the rest
             inside = inside and not any(c.knots_nm for c in named)
         return inside and self.remaining_p_value >= ENOUGH and sure >= LIKELY and not self.beside_noise
@@ -443,7 +443,7 @@ class Posterior:
             return f"consistent in total, not in parts: {before} (p = {self.p_value:.2g}); inconsistent: {names}"
         if self.first_cause == NOTHING:
             return f"no input explains the differences: {before} (p = {self.p_value:.2g})"
-        little = self.remaining_chi_square - self.dof > MOST_LEFT * (self.chi_square - self.dof)
+        little = self.remaining_chi_square - self.dof > MAX_LEFT * (self.chi_square - self.dof)
         if self.first_cause == NONE or (little and self.best.causes[-1].candidate is UNKNOWN):
             nearest = max((f for f in self.fits if not f.limited), key=lambda f: f.evidence, default=None)
             near = f" (the nearest: {nearest.name}, {nearest.description})" if nearest and nearest.evidence > 0 else ""
@@ -552,13 +552,13 @@ class Reasoner:
         specific = [h for h in found[:-1] if not any(f.candidate.fits_any_spectrum for f in h.causes)]
         alone = {h.first_cause: h.chi_squares[0] for h in specific}
         beam = [h for h in sorted(found, key=lambda h: -h.weight) if h.causes and h.causes[-1].candidate is not UNKNOWN]
-        beam = [h for h in beam[:MOST_FIRST] if h.weight > found[0].weight]
-        for _ in range(MOST_CAUSES - 1):
+        beam = [h for h in beam[:MAX_FIRST] if h.weight > found[0].weight]
+        for _ in range(MAX_CAUSES - 1):
             longer = [more for h in beam for more in self._extensions(h, e)]
             found += longer
             beam = [h for h in sorted(longer, key=lambda h: -h.weight)[:1] if h.causes[-1].candidate is not UNKNOWN]
         if not self.noisy:  # a cause of a change makes most of it
-            part = [h.first_cause in (NOTHING, NONE) or h.chi_squares[-1] <= MOST_LEFT * total for h in found]
+            part = [h.first_cause in (NOTHING, NONE) or h.chi_squares[-1] <= MAX_LEFT * total for h in found]
             found = [h if most else replace(h, weight=h.weight - total) for h, most in zip(found, part, strict=True)]
         found.sort(key=lambda h: -h.weight)
         found = [self._reorder(h, e, alone) if h.weight > found[0].weight - CLOSE else h for h in found]

@@ -42,9 +42,9 @@ from hyperval.results import Cause, Outcome, Result
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 
-ATMOSPHERE, MOST_SCENARIOS = "atmosphere", 3  # inputs of this kind are asked for large errors in so many scenarios
+ATMOSPHERE, MAX_SCENARIOS = "atmosphere", 3  # inputs of this kind are asked for large errors in so many scenarios
 # In which the model is asked again at the sizes found, of so many candidates; pixels that regions may lie elsewhere.
-MOST_ROUNDS, MOST_REFINED, MOST_PIXELS = 6, 4, 4
+MAX_ROUNDS, MAX_REFINED, MAX_PIXELS = 6, 4, 4
 # Error of each band by itself, common to all subjects: what smooth inputs cannot explain.
 # A gain and an offset of the calibration that change smoothly over wavelength: a piece at each knot.
 SMOOTH_PART = 0.03
@@ -380,7 +380,7 @@ class Causes:
         displaced, still = self._moved_subjects(moved, rows, level)
         effects, nearest = dict[tuple[int, int], Array](), (0, 0)
         where = f"regions {', '.join(displaced)}" if regions and still else "regions" if regions else "target regions"
-        for _ in range(MOST_PIXELS if found.first_cause == NONE else 0):
+        for _ in range(MAX_PIXELS if found.first_cause == NONE else 0):
             reach = (-1, 0, 1) if effects else (-2, -1, 0, 1, 2)
             around = [(nearest[0] + i, nearest[1] + j) for i, j in product(reach, repeat=2)]
             around += [] if effects else _FARTHER
@@ -440,10 +440,10 @@ class Causes:
         that are found, of a change by the engine itself; the residuals with those.
         """
         columns, exact = dict(residuals.columns), set[tuple[Candidate, float]]()
-        for last in range(MOST_ROUNDS, -1, -1):
+        for last in range(MAX_ROUNDS, -1, -1):
             residuals = residuals._replace(columns=columns)
             found = residuals.posterior(ALL, noisy)
-            named = [f for h in found.hypotheses[:MOST_REFINED] for f in h.causes] + list(found.fits[:MOST_REFINED])
+            named = [f for h in found.hypotheses[:MAX_REFINED] for f in h.causes] + list(found.fits[:MAX_REFINED])
             sizes = {c: float(f.amplitudes[0]) for f in named if (c := f.candidate).sizes and c.members}
             # At none of those that the model was asked at.
             sizes = {c: a for c, a in sizes.items() if min(abs(a - s) for s in (0.0, *c.sizes)) > 0.005 * abs(a) + 1e-4}
@@ -601,7 +601,7 @@ def collect_causes(model: ScenarioModel) -> Causes:
     budget = sum((g @ g.T for c, g in units.items() if c.budgeted), np.zeros((predicted.size, predicted.size)))
     covariance = stack.covariance + budget + stack.excess_covariance(model.budgeted, budget)
     # Each atmospheric value takes an engine run per scenario: with many scenarios each input has one direction.
-    many = len(worlds) > MOST_SCENARIOS
+    many = len(worlds) > MAX_SCENARIOS
     by_engine = [c for c in moved if many and c.needs_engine and c.sizes]
     rare = [c for c in further if many and c.kind == ATMOSPHERE]
     by_name = {c.name: c for c in (*further, *moved) if c not in (*rare, *by_engine)}

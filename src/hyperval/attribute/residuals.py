@@ -29,12 +29,12 @@ ENOUGH = 0.05  # p-value from which residuals count as explained
 # Numerical error of the model itself: what interpolation and rounding may do.  It keeps well sampled quantities
 # from deciding alone.
 SPECTRUM_FLOOR = 1e-4  # of the value, each band by itself: what closure with simulated collections leaves
-MOST_WIDENED = 20.0  # times a covariance that too few pixels know
+MAX_WIDENED = 20.0  # times a covariance that too few pixels know
 SCORE_FLOOR = 5e-3  # of a score, on the scale where the target is 1
 LOG_FLOOR = 0.02  # of the logarithm of a standard deviation
 RATE_FLOOR = 0.1  # of the logarithm of a false-alarm rate
 # A false-alarm rate says something of the tail where this many pixels lie above the threshold.
-LEAST_ALARMS = 20
+MIN_ALARMS = 20
 
 
 Quantity = tuple[str, str, str, str]  # a number of both sides: product, subject, method, metric in the results table
@@ -359,7 +359,7 @@ def sampled_covariance(estimate: SpectralEstimate, use: Mask, floor: Array) -> A
 
 
 def hotelling_factor(directions: float, dof: float) -> float:
-    """95 % point of Hotelling's T^2 over that of chi-square, at most :data:`MOST_WIDENED`.
+    """95 % point of Hotelling's T^2 over that of chi-square, at most :data:`MAX_WIDENED`.
 
     Examples
     --------
@@ -368,7 +368,7 @@ def hotelling_factor(directions: float, dof: float) -> float:
     """
     freedom = max(dof - directions + 1.0, 1.0)
     student = dof * directions / freedom * special.fdtri(directions, freedom, 1.0 - ENOUGH)
-    return float(min(student / special.chdtri(directions, ENOUGH), MOST_WIDENED))
+    return float(min(student / special.chdtri(directions, ENOUGH), MAX_WIDENED))
 
 
 def _snr(subject: str, predicted: Products, estimate: SpectralEstimate) -> Iterator[ResidualBlock]:
@@ -427,7 +427,7 @@ def _false_alarms(predicted: Products, observed: Products) -> Iterator[ResidualB
     counted: set[tuple[str, float]] = set()
     for key, curve in observed.roc.items():
         (subject, detector, unit), n = key, curve.n_background or 0
-        rates = np.array([p for p in POINTS if p * n >= LEAST_ALARMS and p >= curve.pfa[0]])
+        rates = np.array([p for p in POINTS if p * n >= MIN_ALARMS and p >= curve.pfa[0]])
         if unit != "pixel" or key not in predicted.roc or not rates.size:
             continue
         thresholds = np.interp(np.log(rates), np.log(curve.pfa), curve.threshold)

@@ -70,7 +70,7 @@ def scene_content(
 
 # Wavelength [nm] of red, green, blue and the solar irradiance there relative to green (ASTM G173, rounded).
 COLOURS = ((650.0, 0.84), (550.0, 1.0), (470.0, 1.07))
-MOST_PIXELS = 1_000_000  # of the picture: of larger images every second, third ... line and sample is shown
+MAX_PIXELS = 1_000_000  # of the picture: of larger images every second, third ... line and sample is shown
 STRETCH_PIXELS = 250_000  # that the stretch is taken from, at least
 LINES_TOGETHER = 64
 GAMMA = 0.6  # lifts the dark part of the scene, where most surfaces are
@@ -118,7 +118,7 @@ def quicklook(observed: Observed) -> Quicklook | None:
     bands = [int(np.argmin(np.abs(centre - nm))) for nm, _ in COLOURS]
     if cube.axis.numbered:  # from the long end to the short one, as red, green and blue stand
         bands = [cube.bands * quarter // 4 for quarter in (3, 2, 1)]
-    step = max(1, math.ceil(math.sqrt(cube.lines * cube.samples / MOST_PIXELS)))
+    step = max(1, math.ceil(math.sqrt(cube.lines * cube.samples / MAX_PIXELS)))
     lines = range(0, cube.lines, step)  # every so many, and as many samples
     picture = np.empty((len(lines), len(range(0, cube.samples, step)), len(bands)), np.float32)
     # A few bands of a file of arrays are read without the others, and its blocks hold many lines.

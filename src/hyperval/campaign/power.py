@@ -31,7 +31,7 @@ from hyperval.run import csv_text
 from hyperval.storage import POWER, whole_folder, write_text
 
 ACCEPTED = Path("validation/power")
-_MOST_NAMED = 4
+_MAX_NAMED = 4
 SEED, WORLDS = 34, 20  # worlds for each kind of cause
 
 
@@ -75,8 +75,8 @@ class InjectedError(Model):
         >>> InjectedError(gates=("radiance | a | b | sixs | p_value_shape",)).detail  # of the subject 'a | b'
         'shape of the radiance, a | b'
         """
-        more = len(self.gates) - _MOST_NAMED
-        words = list(self.gates[:_MOST_NAMED])
+        more = len(self.gates) - _MAX_NAMED
+        words = list(self.gates[:_MAX_NAMED])
         with suppress(UsageError):  # a metric of another version
             words = [f"{plain_words(m, product)}, {subject}" for product, subject, _, m in map(split_key, words)]
         criteria = "; ".join(words) + f"; and {more} more" * (more > 0)

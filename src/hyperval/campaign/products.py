@@ -23,7 +23,7 @@ from hyperval.attribute import ScenarioModel, Truths, exchanged_pairs, few_objec
 from hyperval.campaign.schema import Campaign, Job, load_scenarios
 from hyperval.collection import Detection
 from hyperval.compare import compare_products, judge_rows, mark_fitted, would_decide
-from hyperval.compare.spectra import LEAST_OF_NOISE, snr_beside_texture
+from hyperval.compare.spectra import MIN_OF_NOISE, snr_beside_texture
 from hyperval.config import twice
 from hyperval.data import NUMERICAL_DETECTORS, Mask
 from hyperval.datasets import InputLog
@@ -126,7 +126,7 @@ def contradictions(side: ObservedCampaign, prediction: Products | None, rows: Se
                 yield f"warning: {population.name!r} of {named}: {differences}"
 
 
-LEAST_APART = 0.01  # of the greatest reflectance: spectra that lie nearer are of one surface
+MIN_APART = 0.01  # of the greatest reflectance: spectra that lie nearer are of one surface
 
 
 ALL_OF_IT = 0.95  # of the background: regions that hold less of it do not tell what it is made of
@@ -177,7 +177,7 @@ def _model_warnings(side: ObservedCampaign, scenario: Scenario) -> Iterator[str]
             subjects = observe.target_groups(place.targets, target, detection.group)
             for name in dict.fromkeys(stated.targets[t].name for t, _, p in stated.populations if p.name in subjects):
                 gap = float(np.abs(stated.signatures[name][detected.bank.bands] - spectrum).max())
-                if gap > LEAST_APART * np.abs(spectrum).max():
+                if gap > MIN_APART * np.abs(spectrum).max():
                     words = f"in the image than in the model of {name!r}, up to {gap:.2g} apart"
                     yield f"warning: filters of {target.name!r} look for another spectrum {words} (filter_spectrum)"
 
@@ -387,7 +387,7 @@ def without_circular_spectra(
 
 # Of a limit of a normalised difference: how far it may be off.
 _STEP, _STEPS = 0.05, (-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0)
-_MOST_TRIED = 18  # spectra in the place of those that detectors look for
+_MAX_TRIED = 18  # spectra in the place of those that detectors look for
 _BANDS = ("windows", "good", "all")  # that detectors may be given
 OBJECT_DRAWS = 1600  # of an object's score: the same each time, so that differences are free of their scatter
 
@@ -431,7 +431,7 @@ def attribution_model(side: ObservedCampaign, prediction: Products) -> ScenarioM
     """
 
     def valid_snr(products: Products) -> Products:
-        kept = {s: e for s, e in products.snr.items() if np.median(snr_beside_texture(prediction, s)) >= LEAST_OF_NOISE}
+        kept = {s: e for s, e in products.snr.items() if np.median(snr_beside_texture(prediction, s)) >= MIN_OF_NOISE}
         return replace(products, snr=kept)
 
     observation = valid_snr(side.observed.observation)
@@ -522,7 +522,7 @@ def exchange_settings(side: ObservedCampaign) -> dict[str, tuple[Mapping[Any, Ma
     materials = exchanged_pairs(rasters.materials if rasters else {})
     of_model = spectrum_entries(target for scenario in side.scenarios for target in scenario.scene.targets)
     in_place = substitutions(spectrum_entries(detection.targets if detection else ()), of_model, "of the model")
-    looked_for = in_place if len(in_place) <= _MOST_TRIED else {}
+    looked_for = in_place if len(in_place) <= _MAX_TRIED else {}
     background = detection.background if detection and place else []
     names = [name for name in (*place.regions, observe.SCENE) if [name] != background] if place and background else []
     steps: dict[float, dict[float, dict[str, float]]] = {}

@@ -39,7 +39,7 @@ from hyperval.storage import decoded, write_text
 
 _UNITS = (None, "fraction", "percent", "scaled:1000", "scaled:10000")  # of reflectances; None: as the file states
 _RING_PIXELS = 4.0
-_MOST_SIZES = 12
+_MAX_SIZES = 12
 _FLAT = 0.06  # standard deviation over mean, of grey cloths and panels
 _PANEL = re.compile(r"panel|tarp|calib|spectralon|permaflect", re.IGNORECASE)
 # Of an instrument, not of the scene: its white reference, or what it shows in the dark.
@@ -47,7 +47,7 @@ _REFERENCE = re.compile(r"(?<![a-z])wr(?![a-z])|(white|dark)[ _-]?(ref|current)"
 _THOUSANDS = 0.001  # whose brighter images are as possible as dark ones times 10000
 _SCALES = (1.0, 0.01, _THOUSANDS, 0.0001)  # reflectance, percent, and times 10000, which most whole numbers are
 _WHOLE = {"name": "whole image", "whole_image": True}
-_MOST_NAMED = 8
+_MAX_NAMED = 8
 _FEW = 5  # pixels that tell no spread
 _SOME = 2000  # pixels that tell a mean
 _NAMED = {"radiance": r"radiance|(?<![a-z])(rdn|rad)(?![a-z])", "reflectance": r"refl|(?<![a-z])(rfl|ref)(?![a-z])"}
@@ -437,7 +437,7 @@ class Draft:
         files = [] if "by_number" in cube else [spectrum.source["file"] for spectrum in self.spectra]
         idle = dict.fromkeys(file for file in files or map(str, self.sources.spectra) if repr(file) not in text)
         if names := [Path(file).name for file in idle]:
-            self.guess("unused", names=", ".join(names[:_MOST_NAMED]) + ", ..." * (len(names) > _MOST_NAMED))
+            self.guess("unused", names=", ".join(names[:_MAX_NAMED]) + ", ..." * (len(names) > _MAX_NAMED))
 
     # The model --------------------------------------------------------------------------------------------------------
 
@@ -663,7 +663,7 @@ def _group_by_side(members: Sequence[TargetObject]) -> dict[str, list[TargetObje
     largest_first = sorted(members, key=lambda target: -target.side_m)
     each = grouped(largest_first, lambda target: target.attributes.get("side_m", ""))
     is_known = "" not in each and all(math.isfinite(target.side_m) for target in members)
-    return each if is_known and 1 < len(each) <= _MOST_SIZES else {}
+    return each if is_known and 1 < len(each) <= _MAX_SIZES else {}
 
 
 def _host(place: Place, members: Sequence[TargetObject], classes: Sequence[str]) -> str:

@@ -1,7 +1,7 @@
 """Prediction against observation: spectra, covariances, detection; and what the rows conclude."""
 
 from .covariance import (
-    MOST_EIGENVALUES,
+    MAX_EIGENVALUES,
     Sampled,
     compare_covariance,
     compare_distribution,
@@ -58,7 +58,7 @@ from .spectra import (
 )
 
 __all__ = [
-    "COMPARISON", "EVERY_OBJECT", "MOST_EIGENVALUES", "SPREAD", "ChiSquare", "Gate", "Sampled", "alarm_rows",
+    "COMPARISON", "EVERY_OBJECT", "MAX_EIGENVALUES", "SPREAD", "ChiSquare", "Gate", "Sampled", "alarm_rows",
     "chi_square_diagonal", "chi_square_full", "chi_square_shape", "comparable_bands", "compare_abundance",
     "compare_area_errors", "compare_classification", "compare_covariance", "compare_distribution",
     "compare_exceedance", "compare_jointly", "compare_object_scores", "compare_products", "compare_roc",

@@ -22,11 +22,11 @@ from hyperval.results import Effect, Result
 from hyperval.spectra.axis import SpectralAxis
 
 EIGENVALUES = 5  # compared
-MOST_EIGENVALUES = 30  # in figures
+MAX_EIGENVALUES = 30  # in figures
 SPACES = (1, 2, 3)
-FEWEST_PIXELS = 3
+MIN_PIXELS = 3
 _SEED = 20140501
-_MOST_DRAWN = 64  # bands that are kept, of some 0.1 to 0.5 MB each
+_MAX_DRAWN = 64  # bands that are kept, of some 0.1 to 0.5 MB each
 
 
 def compared_bands(predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis) -> Mask:
@@ -173,7 +173,7 @@ def sampled(
     if p is None or o is None or p.pixel_covariance is None or o.pixel_covariance is None or o.n is None:
         return None
     bands, n = compared_bands(p, o, observed.axis), o.n
-    if n < FEWEST_PIXELS or not bands.any():
+    if n < MIN_PIXELS or not bands.any():
         return skip_as("few_pixels.covariance", COMPARISON, n=n, bands=int(bands.sum()))
     block = np.ix_(bands, bands)
     first, second = np.asarray(p.pixel_covariance)[block], np.asarray(o.pixel_covariance)[block]
@@ -213,7 +213,7 @@ def _sampling_band(
     """The draws that rows and figures of a subject share."""
     law = b"".join(x.tobytes() for x in (directions.vectors, directions.values, dof, errors))
     key, rng = (sha256(law).digest(), count, spaces, kurtosis), np.random.default_rng(_SEED)
-    if len(_DRAWN) >= _MOST_DRAWN:
+    if len(_DRAWN) >= _MAX_DRAWN:
         _DRAWN.clear()
     if key not in _DRAWN:
         _DRAWN[key] = pixels.sampling_band(directions, dof, count, spaces, rng, kurtosis=kurtosis, errors=errors)

@@ -148,7 +148,7 @@ WIDTHS = (1.25, 1.5, 2.0, 3.0)
 POWER_DRAWS = 1000
 POWER_LEVEL, POWER = 0.01, 0.8
 # Objects whose joint distribution the draws can tell: ten draws for each.
-MOST_JOINED = 200
+MAX_JOINED = 200
 # Sets of objects drawn from the prediction, for what the model itself expects of them together.
 REPLICATES = 4000
 _SEED = 17
@@ -280,8 +280,8 @@ def _joint_distance(z: Array, x: Array, wide: Array, note: str) -> Iterator[Resu
     had a part in the covariance.
     """
     half, n = x.shape[0] // 2, z.size
-    if n > MOST_JOINED:
-        yield from skip_as("few_pixels.draws", "joint_distance_p_value", n=n, most=MOST_JOINED)
+    if n > MAX_JOINED:
+        yield from skip_as("few_pixels.draws", "joint_distance_p_value", n=n, most=MAX_JOINED)
         return
     inverse = np.linalg.pinv(np.atleast_2d(np.cov(x[:half], rowvar=False)))
 

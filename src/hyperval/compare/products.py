@@ -137,7 +137,7 @@ def compare_products(
                 part, taken = float(np.median(noise_part)), (1.0 - noise_part) * np.nan_to_num(o.mean)
                 o = replace(o, error_covariance=o.error_covariance + np.outer(taken, taken))
             rows = compare(p, o, **options) if p is not None and o is not None else absent(field, subject, p, o)
-            textured = part < spectra.LEAST_OF_NOISE
+            textured = part < spectra.MIN_OF_NOISE
             yield from named(skip_as("texture.snr", part=part) if textured else rows, field, subject, name)
 
     def absent(product: str, subject: str, p: Any, o: Any) -> list[Result]:

@@ -555,13 +555,13 @@ NUMERICAL = 6e-8
 STATED_COVERAGE = 2.0
 
 
-LEAST_OF_NOISE = 0.9  # of the sensor's signal-to-noise ratio, which texture takes beyond what its estimate allows for
+MIN_OF_NOISE = 0.9  # of the sensor's signal-to-noise ratio, which texture takes beyond what its estimate allows for
 
 
 def snr_beside_texture(predicted: Products, subject: str) -> Array:
     """(B,) part of the sensor's SNR that its estimate from an image is expected to show: texture counts as noise there.
 
-    Where its median is below ``LEAST_OF_NOISE`` what is measured is not what is predicted.  1 where no spread is
+    Where its median is below ``MIN_OF_NOISE`` what is measured is not what is predicted.  1 where no spread is
     predicted, or too few bands tell.
 
     >>> axis, flat = SpectralAxis(np.arange(500.0, 900.0, 100.0), 10.0), np.full(4, 100.0)
@@ -650,7 +650,7 @@ def variance_shares(predicted: SpectralEstimate, measured: SpectralEstimate, ban
     return sorted(((name, part / total) for name, part in found.items()), key=lambda item: -item[1])
 
 
-MOST_WITHOUT_RATIO = 0.1  # of the bands of a region
+MAX_WITHOUT_RATIO = 0.1  # of the bands of a region
 _SUMMARIES = ("median_difference_ratio", "median_abs_difference_ratio", "max_abs_difference_ratio")
 
 
@@ -663,7 +663,7 @@ def _summary(name: str, ratio: Array, covariance: Array, bands: Mask) -> Iterato
     """
     names, use = [f"{metric}_{name}" for metric in _SUMMARIES], bands & np.isfinite(ratio)
     lost = {"lost": int(np.sum(bands & ~use)), "count": int(bands.sum())}
-    if lost["lost"] > MOST_WITHOUT_RATIO * lost["count"] or not use.any():
+    if lost["lost"] > MAX_WITHOUT_RATIO * lost["count"] or not use.any():
         yield from skip_as("no_bands.positive" if use.any() else "no_bands.region", *names, region=name, **lost)
         return
     why, r, spread = said("no_bands.positive", **lost) if lost["lost"] else "", ratio[use], covariance[np.ix_(use, use)]
@@ -725,13 +725,13 @@ PIECES_NM = tuple(itertools.pairwise(EDGES_NM))
 FIELD = "field spectrum"  # each subject's own draw
 CALIBRATION, REST = "calibration", "noise and the rest"
 UNSTATED = "differences that no source states"
-_FEWEST_BANDS = 2
-_LEAST_CONTRAST = 0.05  # of the brightest: equally bright subjects do not separate gain and offset
+_MIN_BANDS = 2
+_MIN_CONTRAST = 0.05  # of the brightest: equally bright subjects do not separate gain and offset
 # Standard deviations of what no source states, from what interpolation and rounding of the model leave; the median of
 # its prior, as AVIRIS-NG's spectra differ from band to band.
 UNSTATED_RATIOS, USUAL_RATIO = np.geomspace(1e-4, 0.1, 13), 0.01
 UNSTATED_NM = (1.0, 30.0, 100.0, 300.0)  # how far they are correlated: not at all, to as far as field spectra
-_LEAST_LEFT = 0.1  # hardly anybody knows an input ten times better
+_MIN_LEFT = 0.1  # hardly anybody knows an input ten times better
 
 
 class CommonDifference(NamedTuple):
@@ -852,7 +852,7 @@ def joint_pieces(predicted: Products, observed: Products) -> JointDifference | N
     pieces = [(axis.centre_nm >= low) & (axis.centre_nm < high) & axis.in_windows for low, high in PIECES_NM]
     good = [comparable_bands(p, m, axis) & (p.mean > 0) & (m.mean > 0) for p, m in pairs.values()]
     use = np.reshape(good, (-1, 1, len(axis))).astype(bool) & np.array(pieces)
-    use &= np.count_nonzero(use, axis=2, keepdims=True) >= _FEWEST_BANDS
+    use &= np.count_nonzero(use, axis=2, keepdims=True) >= _MIN_BANDS
     use &= (np.count_nonzero(use.any(axis=2), axis=0) > 1)[:, None]
     return joint_difference(pairs, use) if use.any() else None
 
@@ -937,7 +937,7 @@ def _sensor_rows(joint: JointDifference, found: CommonDifference) -> Iterator[Re
     common = np.exp(joint.difference @ joint.piece_indicator / count)
     by_level = joint.inverse_level[:, None] * joint.piece_indicator * common  # 1 / measured without its noise
     dark = np.where(by_level > 0.0, by_level, np.inf).min(axis=0)
-    separable = np.flatnonzero(by_level.max(axis=0) * (1.0 - _LEAST_CONTRAST) > dark).tolist()
+    separable = np.flatnonzero(by_level.max(axis=0) * (1.0 - _MIN_CONTRAST) > dark).tolist()
     both = joint.common_difference(np.hstack([joint.piece_indicator, -by_level[:, separable]]))
     of_calibration = joint.sources.get(CALIBRATION, np.zeros(joint.covariance.shape))
     for name, fit, some in (("sensor_gain", found, range(count.size)), ("sensor_gain_beside_offset", both, separable)):
@@ -1053,8 +1053,8 @@ def decisive_reductions(
         sources = [(name, *scales.get(name, (math.nan, ""))) for name in names]
         return said("known", sources=sources, part=allowed_part(names))
 
-    out = [sentence([name]) for name in largest if allowed_part([name]) > _LEAST_LEFT][:3]
-    pairs = [largest[:k] for k in range(2, len(largest) + 1) if allowed_part(largest[:k]) > _LEAST_LEFT]
+    out = [sentence([name]) for name in largest if allowed_part([name]) > _MIN_LEFT][:3]
+    pairs = [largest[:k] for k in range(2, len(largest) + 1) if allowed_part(largest[:k]) > _MIN_LEFT]
     out = out or [sentence(names) for names in pairs[:1]]
     single, goal = sum(budget.get(name, 0.0) ** 2 for name in (FIELD, REST, UNSTATED)), fraction**2 * total
     if subjects > 1 and goal > total - single:

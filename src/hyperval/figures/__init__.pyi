@@ -1,7 +1,7 @@
 """Figures: each stated once as data, drawn in a page by ``charts.js`` and on paper by ``print``."""
 
 from .catalogue import (
-    MOST_SUBJECTS,
+    MAX_SUBJECTS,
     densities_figure,
     exceedance_figure,
     first_figures,
@@ -24,7 +24,7 @@ from .spec import (
 )
 
 __all__ = [
-    "MOST_SUBJECTS", "Axis", "ColourScale", "Drawing", "Figure", "Mark", "Panels", "Part", "campaigns_figure",
+    "MAX_SUBJECTS", "Axis", "ColourScale", "Drawing", "Figure", "Mark", "Panels", "Part", "campaigns_figure",
     "criteria_figure", "densities_figure", "draw_pictures", "draw_views", "drawings_of", "exceedance_figure",
     "figure_json", "first_figures", "further_figures", "house_style", "many_objects_figure", "outcome_words",
     "spectra_figure",

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.special import betaincinv
 
-from hyperval.compare import MOST_EIGENVALUES, SPREAD, Sampled, in_central_95, probability_integral_transform, sampled
+from hyperval.compare import MAX_EIGENVALUES, SPREAD, Sampled, in_central_95, probability_integral_transform, sampled
 from hyperval.data import Array, Mask
 from hyperval.figures.spec import (
     CURVES,
@@ -48,9 +48,9 @@ SIDES = ("predicted", "measured")
 Entry = tuple[float, float, float, str]  # a value of a side with the limits of its interval, and what is said of it
 # Of a product: its axis, its title, and whether its difference is a ratio.
 SPECTRA: Mapping[str, tuple[str, str, bool]] = LOOKS["spectra"]
-MOST_SUBJECTS = 24  # and curves
-_MOST_ROWS = 40
-_MOST_SOURCES = 7
+MAX_SUBJECTS = 24  # and curves
+_MAX_ROWS = 40
+_MAX_SOURCES = 7
 
 
 def side_products(sides: Sides, product: str) -> list[Mapping[Any, Any]]:
@@ -95,7 +95,7 @@ def dot_rows(
     **values: Any,
 ) -> Figure | None:  # fmt: skip
     """A figure with a row for each of the first keys: dots of the sides that have it, slightly offset."""
-    shown = keys[:_MOST_ROWS]
+    shown = keys[:_MAX_ROWS]
     if not shown:
         return None
     marks, styles = list(under), ((predicted_mark, "circle", -0.14), (measured_mark, "square", 0.14))
@@ -138,7 +138,7 @@ def spectra_figure(
         return None  # a comparison that has none of this product
     ranks = [(WORST_FIRST.index(row.outcome), row.subject) for row in rows if row.planned and row.product == product]
     worst = {subject: rank for rank, subject in sorted(ranks, reverse=True)}
-    shown = sorted(drawn, key=lambda subject: worst.get(subject, len(WORST_FIRST)))[:MOST_SUBJECTS]
+    shown = sorted(drawn, key=lambda subject: worst.get(subject, len(WORST_FIRST)))[:MAX_SUBJECTS]
     axis = next(side.axis for side, each in zip(sides, both, strict=True) if side and shown[0] in each)
     # Sides on other bands are not drawn over each other.
     aligned = [each if side and side.axis.matches(axis) else {} for side, each in zip(sides, both, strict=True)]
@@ -232,10 +232,10 @@ def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> list[str]:
         total = sum(squares.values()) or 1.0
         weight |= {source: max(weight.get(source, 0.0), square / total) for source, square in squares.items()}
     ranked = sorted(weight, key=lambda s: (-weight[s], s))
-    return ranked if len(ranked) <= _MOST_SOURCES else [*ranked[: _MOST_SOURCES - 1], "other sources"]
+    return ranked if len(ranked) <= _MAX_SOURCES else [*ranked[: _MAX_SOURCES - 1], "other sources"]
 
 
-_MOST_SPREADS = 6  # subjects in each quantity; those with the most pixels
+_MAX_SPREADS = 6  # subjects in each quantity; those with the most pixels
 _EIGENVALUE = "number of the eigenvalue"
 _EIGENVALUES = {"radiance": "eigenvalue [(µW cm⁻² sr⁻¹ nm⁻¹)²]", "reflectance": "eigenvalue"}
 
@@ -247,8 +247,8 @@ def eigenvalue_figure(sides: Sides, quantity: str) -> Figure | None:
         return None
     both = side_products(sides, quantity)
     counts = [(s, e.n) for s, e in both[1].items() if s in both[0] and e.n and e.pixel_covariance is not None]
-    most = sorted(counts, key=lambda one: -one[1])[:_MOST_SPREADS]
-    found = {s: sampled(predicted, observed, s, quantity, MOST_EIGENVALUES) for s, _ in most}
+    most = sorted(counts, key=lambda one: -one[1])[:_MAX_SPREADS]
+    found = {s: sampled(predicted, observed, s, quantity, MAX_EIGENVALUES) for s, _ in most}
     spreads = {s: one for s, one in found.items() if isinstance(one, Sampled)}
 
     def view(subject: str) -> Panels:
@@ -317,7 +317,7 @@ def class_error_figure(sides: Sides) -> Figure | None:
     # Left end of the axis: below every error that was measured or predicted, and not below a millionth.
     least = min([1e-2, *(x for of_side in both for e in of_side.values() for x in (e.error, e.lower) if x > 0)])
     floor, under = max(least / 2.0, 1e-6), []
-    bounded = {i: both[0][k] for i, k in enumerate(keys[:_MOST_ROWS]) if k in both[0] and both[0][k].bound_upper > 0}
+    bounded = {i: both[0][k] for i, k in enumerate(keys[:_MAX_ROWS]) if k in both[0] and both[0][k].bound_upper > 0}
     if bounded:
         numbers = np.array([(e.bound_lower, e.bound_upper, e.approximation) for e in bounded.values()])
         (low, high, estimate), place = np.maximum(numbers, floor).T, np.array(list(bounded), float)
@@ -334,8 +334,8 @@ def class_error_figure(sides: Sides) -> Figure | None:
     return dot_rows("class-error", keys, entries, x, under=under, floor=floor)
 
 
-_MOST_POINTS = 200
-_MOST_POPULATIONS = 12
+_MAX_POINTS = 200
+_MAX_POPULATIONS = 12
 _SPAN = 5.0  # standard deviations about the mean, where a density is not stated
 _DEEPEST = 1e-8  # part of the greatest density
 _BINS = 24
@@ -365,7 +365,7 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
     for curves in kinds.values():
         # Of too many those with the most targets, pools of targets among them.
         most = sorted(curves, key=lambda key: -(getattr(measured.get(key), "n_target", -1) or 0))
-        chosen = most[: MOST_SUBJECTS // len(kinds) or 1]
+        chosen = most[: MAX_SUBJECTS // len(kinds) or 1]
         keys = [key for key in curves if key in chosen]
         lowest = min((float(c[k].pfa[c[k].pfa > 0].min()) for c in both for k in keys if k in c), default=1e-3)
         views += [_roc_view(key, [curves.get(key) for curves in both], max(lowest, least), names) for key in keys]
@@ -450,7 +450,7 @@ def exceedance_figure(sides: Sides) -> Figure | None:
 def _thin(columns: dict[str, Any]) -> dict[str, Any]:
     """A curve of at most so many points, its ends among them."""
     size = columns["x"].size
-    keep = np.unique(np.linspace(0, size - 1, min(size, _MOST_POINTS)).round().astype(int))
+    keep = np.unique(np.linspace(0, size - 1, min(size, _MAX_POINTS)).round().astype(int))
     return {name: values[keep] for name, values in columns.items()}
 
 
@@ -466,7 +466,7 @@ def abundance_figure(sides: Sides) -> Figure | None:
         {k: _entry(a.area_m2, a.standard_uncertainty, a.n, " m²") for k, a in of_side.items() if a.nominal_m2 is None}
         for of_side in side_products(sides, "abundance")
     ]
-    areas = np.array([area for of_side in both for area, *_ in list(of_side.values())[:_MOST_ROWS]])
+    areas = np.array([area for of_side in both for area, *_ in list(of_side.values())[:_MAX_ROWS]])
     areas = areas[np.isfinite(areas)]
     scattered = areas.size > 0 and areas.min() > 0 and areas.max() > 30 * areas.min()
     x = Axis("area [m²]", "log", ends=(areas.min() / 4, areas.max() * 2.5)) if scattered else Axis("area [m²]")
@@ -576,7 +576,7 @@ def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> Panels | None:
         outlined = [one for one in scores if one[0] in score_map.outlines and name.endswith(f"-{detector}")]
         found += [(*one, float(np.median(draws))) for one in outlined]
         laws += [(len(outlined), draws)] if outlined else []
-    if min(len(found), len(score_map.outlines)) <= _MOST_ROWS:  # each has its place in a list
+    if min(len(found), len(score_map.outlines)) <= _MAX_ROWS:  # each has its place in a list
         return None
     names, measured, median = zip(*found, strict=True)
     line, sample = np.array([np.mean(np.nonzero(score_map.outlines[one]), axis=1) for one in names]).T + 0.5
@@ -626,7 +626,7 @@ def densities_figure(sides: Sequence[tuple[str, Products]]) -> Figure | None:
         curves = []
         for number, (label, side) in enumerate(sides):
             drawn = [(subject, one) for (subject, name), one in side.scores.items() if name == detector and one.sd > 0]
-            curves += [(label, number, subject, *score_density(one)) for subject, one in drawn[:_MOST_POPULATIONS]]
+            curves += [(label, number, subject, *score_density(one)) for subject, one in drawn[:_MAX_POPULATIONS]]
         subjects = list(dict.fromkeys(subject for _, _, subject, *_ in curves))
         top = max((float(np.nanmax(y)) for *_, y in curves), default=1.0)
         marks = tuple(
@@ -657,8 +657,8 @@ def score_density(score: ScoreDistribution) -> tuple[Array, Array]:
     return score.mean + score.sd * z, np.exp(-0.5 * z**2) / (score.sd * np.sqrt(2.0 * np.pi))
 
 
-_MOST_INPUTS = 14
-_MOST_QUANTITIES = 26
+_MAX_INPUTS = 14
+_MAX_QUANTITIES = 26
 _LONGEST = 34  # characters of an input's name
 # Twice a log-likelihood of 10.8 has one chance in a thousand by luck, for one direction.
 _TELLING = 10.8
@@ -670,11 +670,11 @@ def attribution_figures(table: ResultTable) -> list[Figure | None]:
     common = sorted(gains.where(subject="all"), key=lambda r: -r.value)
     moved = ResultTable(r for r in table if math.isfinite(r.before))  # older tables say it in words alone
     tests, moves = moved.where(metric="reduced_chi_square"), moved.where(product="sensitivity")
-    residuals = sorted(tests.where(product="attribution"), key=lambda r: -r.before)[:_MOST_QUANTITIES]
+    residuals = sorted(tests.where(product="attribution"), key=lambda r: -r.before)[:_MAX_QUANTITIES]
     outcomes = tests.where(product="what-if")
     return [
         _chi_square_figure("residuals", residuals, [r.subject for r in residuals]),
-        _input_figure(common[:_MOST_INPUTS], table) if common and common[0].value >= 1.0 else None,
+        _input_figure(common[:_MAX_INPUTS], table) if common and common[0].value >= 1.0 else None,
         _gain_figure(table),
         _subject_matrix([r for r in gains if r.subject != "all"]),
         _effect_matrix(moves) if moves else None,
@@ -727,11 +727,11 @@ def _subject_matrix(rows: Sequence[Result]) -> Figure | None:
     telling = list(dict.fromkeys(r.subject for r in rows if r.value >= 1.0))
     if not telling:
         return None
-    subjects = telling[:_MOST_QUANTITIES]
+    subjects = telling[:_MAX_QUANTITIES]
     best = {n: max(r.value for r in rows if r.method == n) for n in dict.fromkeys(r.method for r in rows)}
     # The best input of a subject has its column, however small its gain elsewhere.
     top = {s: max(best, key=lambda n: gain_of.get((s, n), 0.0)) for s in subjects}
-    inputs = sorted((n for n in best if best[n] > 0.0), key=lambda n: (n not in top.values(), -best[n]))[:_MOST_INPUTS]
+    inputs = sorted((n for n in best if best[n] > 0.0), key=lambda n: (n not in top.values(), -best[n]))[:_MAX_INPUTS]
     gains = np.array([[gain_of.get((s, n), 0.0) for n in inputs] for s in subjects])
     part = gains / np.array([[gain_of[s, n]] for s, n in top.items()])
     cells = np.nonzero(gains > 0.0)
@@ -755,10 +755,10 @@ def _effect_matrix(rows: Sequence[Result]) -> Figure:
         return ", ".join(filter(None, (r.subject, what.replace("roc_pd@", "P_D at P_FA "), way)))
 
     gaps = {label(r): r.before for r in rows}
-    shown = sorted(gaps, key=lambda q: -abs(gaps[q]))[:_MOST_QUANTITIES]
+    shown = sorted(gaps, key=lambda q: -abs(gaps[q]))[:_MAX_QUANTITIES]
     change = {(label(r), r.method.partition(" / ")[0]): r.value for r in rows}
     names = sorted(dict.fromkeys(n for _, n in change), key=lambda n: -max(abs(change.get((q, n), 0.0)) for q in shown))
-    names = names[:_MOST_INPUTS]
+    names = names[:_MAX_INPUTS]
     y, x = (place.ravel().astype(float) for place in np.mgrid[: len(shown), : len(names)])
     values = np.array([change.get((q, n), math.nan) for q in shown for n in names])
     words = tuple(f"{v:+.{1 + (abs(v) >= 0.001)}g}" if abs(v) >= 0.0005 else "" for v in values)

@@ -21,10 +21,10 @@ from hyperval.data import Array, Mask
 from hyperval.figures.spec import VIRIDIS, Drawing, palette_colours, shorten
 from hyperval.run import Quicklook, ScoreMap
 
-_MOST_PIXELS = 800  # along the longer side of a picture
+_MAX_PIXELS = 800  # along the longer side of a picture
 _PER_CSS = 200 / 96  # points of the picture to a pixel of the page
-_MOST_MAPS = 6
-_MOST_NUMBERED = 40  # outlines; more are drawn without numbers, and counted
+_MAX_MAPS = 6
+_MAX_NUMBERED = 40  # outlines; more are drawn without numbers, and counted
 _LONGEST_STRIP = 2.5  # ratio of the sides beyond which an image is cut to its regions
 _COLOURS = 240  # colours of the picture itself
 _TONES = 120  # of them for scores: a page has room for 3 MB
@@ -40,7 +40,7 @@ Window = tuple[slice, slice]  # the lines and the samples of an image that are d
 def draw_pictures(quicklook: Quicklook | None, maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[Drawing]:
     """The scene, and the first score maps with what the model expects in their place."""
     scene = [] if quicklook is None else [quicklook_figure(quicklook, simulated=simulated)]
-    first = enumerate(list(maps.items())[:_MOST_MAPS], start=1)
+    first = enumerate(list(maps.items())[:_MAX_MAPS], start=1)
     return scene + [one for n, (name, map_) in first for one in _map_drawings(f"score-map-{n}", name, map_, simulated)]
 
 
@@ -48,7 +48,7 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     """The scene in three bands, its regions outlined and numbered, with a scale."""
     rgb = np.asarray(quicklook.rgb)
     view = shown_window(rgb.shape[:2], quicklook.regions)
-    step = max(1, math.ceil(max(_image_size(view)) / _MOST_PIXELS))
+    step = max(1, math.ceil(max(_image_size(view)) / _MAX_PIXELS))
     whole = Image.fromarray(np.ascontiguousarray(rgb[view][::step, ::step]))
     few = whole.quantize(_COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     title = f"Scene with its regions of interest{f' (red, green, blue: {quicklook.bands})' if quicklook.bands else ''}"
@@ -61,7 +61,7 @@ def _map_drawings(file: str, name: str, score_map: ScoreMap, simulated: bool) ->
     """A map, scores as colours and targets outlined; what the model expects, likewise; and what moves its alarms."""
     scores, outlines, metres = np.asarray(score_map.values), score_map.outlines, score_map.pixel_size_m
     view, limits = shown_window(scores.shape, outlines), _score_limits(score_map)
-    values, block = block_maximum(scores[view].astype(float), _MOST_PIXELS)
+    values, block = block_maximum(scores[view].astype(float), _MAX_PIXELS)
     colours = [int(tone[k : k + 2], 16) for tone in palette_colours(VIRIDIS, _TONES) for k in (1, 3, 5)]
     canvas = functools.partial(_Canvas, colours=colours, view=view, block=block, simulated=simulated)
     note = _window_text(scores.shape, view)
@@ -70,7 +70,7 @@ def _map_drawings(file: str, name: str, score_map: ScoreMap, simulated: bool) ->
     drawn = canvas(f"Score map {name}", _colour_numbers(values, limits), limits=limits)
     yield drawn.drawing(file, "scores", title, outlines, metres)
     if score_map.expected is not None:
-        expected, _ = block_maximum(score_map.expected.of(view).astype(float), _MOST_PIXELS)
+        expected, _ = block_maximum(score_map.expected.of(view).astype(float), _MAX_PIXELS)
         title = f"Model expectation of {name}, in the colours of the measured map: the mean score of each class of "
         title += "ground and kind of target; blank where the campaign does not state the ground"
         drawn = canvas(f"Expected score {name}", _colour_numbers(expected, limits), limits=limits)
@@ -133,7 +133,7 @@ class _Canvas:
                     self._pen.line(one, tone, width)
             if len(ends):
                 labels.append((ends[:, ::2].max() + 4, ends[:, 1::2].min() - 3, str(number), colour, "lb"))
-        for label in labels if len(labels) <= _MOST_NUMBERED else ():  # more would hide what they name
+        for label in labels if len(labels) <= _MAX_NUMBERED else ():  # more would hide what they name
             self._label(*label)
         if pixel_size_m and math.isfinite(pixel_size_m):
             length_m = _round_length(0.25 * _image_size(self._view)[1] * pixel_size_m)
@@ -145,7 +145,7 @@ class _Canvas:
         out = io.BytesIO()
         self._image.save(out, format="png")
         named = "; ".join(f"{number}: {one}" for number, one in enumerate(regions, start=1))
-        named = f"{len(regions)} outlines" if len(regions) > _MOST_NUMBERED else named
+        named = f"{len(regions)} outlines" if len(regions) > _MAX_NUMBERED else named
         width_px, (lines, samples) = round(self._image.width / _PER_CSS), _image_size(self._view)
         alt = f"{title}: {lines} lines by {samples} samples; outlined: {named or 'nothing'}."
         return Drawing(name, section, title, alt, out.getvalue(), "png", width_px, named)

@@ -16,10 +16,10 @@ from hyperval.spectra.axis import SPECTRAL_REGIONS_NM
 
 _ACCEPTED = "#d8eaf5"  # ranges
 _LOOKS = {Outcome(name): {"label": Outcome(name).word, **look} for name, look in LOOKS["outcomes"].items()}
-_MOST_ROWS, _MOST_PARTS = 11, 5
+_MAX_ROWS, _MAX_PARTS = 11, 5
 _HALF = 0.36  # of a row: what the accepted range fills to either side
 _P_VALUE = "p-value"  # of a test, which has no size in units of the field
-_LEAST_P = 1e-6
+_MIN_P = 1e-6
 _REGIONS = {name.lower(): f"{low:g}–{high:g} nm" for name, (low, high) in SPECTRAL_REGIONS_NM.items()}
 _REGIONS["absorption"] = "absorption bands"
 _SHORT = {"%": " %", "nm": " nm", "percentage points": " pp", "difference / stated": " ×", "standard dev": " sd"}
@@ -64,7 +64,7 @@ def effect_text(row: Result) -> str:
     """
     is_p, limits = row.effect_unit == _P_VALUE, (row.accepted_low, row.accepted_high)
     p = row.effect if is_p else row.p_value
-    told_p = f"p = {p:.2g}" if p >= _LEAST_P else f"p < {_LEAST_P:g}"
+    told_p = f"p = {p:.2g}" if p >= _MIN_P else f"p < {_MIN_P:g}"
     if is_p or math.isnan(row.effect):
         return told_p * is_p
     short = next((words for unit, words in _SHORT.items() if row.effect_unit.startswith(unit)), "")
@@ -159,9 +159,9 @@ def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     if not groups:
         return None
     unmet = [group for group in groups.values() if group[0].outcome is not Outcome.AGREES] or list(groups.values())
-    shown = unmet[:_MOST_PARTS]
+    shown = unmet[:_MAX_PARTS]
     room = [min(1 + sum(row.outcome is not Outcome.AGREES for row in group), len(group)) for group in shown]
-    while sum(room) > _MOST_ROWS - len(shown) and max(room) > 1:
+    while sum(room) > _MAX_ROWS - len(shown) and max(room) > 1:
         room[room.index(max(room))] -= 1
     parts = [_criteria_part(group, most) for group, most in zip(shown, room, strict=True)]
     # One legend for all: marks of the first plot without a number.
@@ -211,7 +211,7 @@ def _limits(rows: Sequence[Result], log: bool) -> tuple[float, float]:
     values = [v for v in values if math.isfinite(v) and (v > 0 or not log)] or [0.1 if log else 0.0, 1.0]
     low, high = min(values), max(values)
     if rows[0].effect_unit == _P_VALUE:
-        return max(0.5 * low, 0.5 * _LEAST_P), 1.0
+        return max(0.5 * low, 0.5 * _MIN_P), 1.0
     if log:
         return low / 1.15, max(high, low * 1.1) * 1.15
     room = 0.6 * (high - low)

@@ -47,7 +47,7 @@ CACHE_BYTES = 1 << 20  # of unpacked blocks that the library keeps: by itself 8 
 SLAB_BYTES = 8 << 20  # of lines that are kept in memory, where they are stored in blocks
 MAX_MATRIX_BYTES = 2 << 30  # of an array that is read whole
 UNPACKED_BYTES = 4 << 30  # of lines that are unpacked into a file, which a folder in memory has room for
-MOST_COMPRESSED = 2_000  # times; what deflate can do is a thousand
+MAX_COMPRESSED = 2_000  # times; what deflate can do is a thousand
 MATRICES = {b"MATLAB 7.3": "MATLAB 7.3", b"MATLAB": "MATLAB 5", b"\x93NUMPY": "NumPy"}
 _FILLS = ("_FillValue", "Data_Ignore_Value", "missing_value")
 _WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda|band_?cent", re.IGNORECASE)
@@ -741,7 +741,7 @@ def open_matrix(
     refuse(len(fits) > 1, "array.maps" if plane else "array.images", path, count=len(fits), names=names)
     name = fits[0]
     size = 8 * int(np.prod(shapes[name]))
-    if kind == "MATLAB 5" and (size > MAX_MATRIX_BYTES or size > MOST_COMPRESSED * path.stat().st_size):
+    if kind == "MATLAB 5" and (size > MAX_MATRIX_BYTES or size > MAX_COMPRESSED * path.stat().st_size):
         raise refusal("array.memory", path, name=name, mib=size >> 20)
     tree, turn = kind not in ("MATLAB 5", "NumPy"), -1 if kind == "MATLAB 7.3" else 1
     vectors = {n: max(s) for n, s in shapes.items() if s and max(s) == int(np.prod(s)) > 1 and not _GOOD.search(n)}

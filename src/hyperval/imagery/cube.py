@@ -44,8 +44,8 @@ BLOCK_BYTES = 8 << 20
 PLAUSIBLE = {"reflectance": 1.5, "radiance": 200.0}
 _LOWEST = -0.1  # of these, that the median is not below: a dark image of noise and path radiance taken off too much
 _DARK = 0.01  # reflectance that nothing reaches in an image that was scaled twice
-_FEWEST_CHECKED = 256  # pixels, before a band is said to hold one number
-_MOST_LISTED = 5
+_MIN_CHECKED = 256  # pixels, before a band is said to hold one number
+_MAX_LISTED = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,9 +338,9 @@ def _checked(cube: Cube, scale: float | None, source: str) -> Cube:
     usable = np.asarray(valid.any(axis=0)) & (cube.axis.good | valid[valid[:, cube.axis.good].all(axis=1)].all(axis=0))
     highest = np.max(values, axis=0, where=valid, initial=-np.inf)
     varies = highest > np.min(values, axis=0, where=valid, initial=np.inf)
-    if len(values) >= _FEWEST_CHECKED and varies.any() and not np.all((varies | ~cube.axis.good) & usable):
+    if len(values) >= _MIN_CHECKED and varies.any() and not np.all((varies | ~cube.axis.good) & usable):
         axis = SpectralAxis(cube.axis.centre_nm, cube.axis.fwhm_nm, cube.axis.good & varies)
-        numbers = ", ".join(str(n + 1) for n in cube.stored_band[~(varies & usable)][:_MOST_LISTED])
+        numbers = ", ".join(str(n + 1) for n in cube.stored_band[~(varies & usable)][:_MAX_LISTED])
         none = ~valid.any(axis=0)
         what = f"{np.sum(usable & ~varies)} bands hold one number in all pixels seen, {np.sum(none)} none"
         what += f", {np.sum(~usable & ~none)} bad ones not in all" * bool(np.any(~usable & ~none))

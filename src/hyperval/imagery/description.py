@@ -35,7 +35,7 @@ Bands = SpectralAxis | Literal["numbers"] | None
 
 _SEEN_LINES, _SEEN_SAMPLES = 16, 64
 MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once
-LEAST_FWHM_NM = 0.05  # the finest imaging spectrometers, for fluorescence, have 0.1 to 0.3
+MIN_FWHM_NM = 0.05  # the finest imaging spectrometers, for fluorescence, have 0.1 to 0.3
 _UNIT = r"(nm|nanomet\w*|[uµμ]m|micromet\w*|microns?)"
 _SPREAD = r"(?:(?:\+\s*/?\s*-|±)\s*[0-9.]+\s*)?"  # half a width, as ITRES writes it
 # A number alone in parentheses is taken for a wavelength where it is as fine as ENVI writes it.
@@ -215,7 +215,7 @@ class Description:
             notes.append("every fwhm in the file is 0, which is none")
             width = None
         if width is not None:
-            none, wide = np.flatnonzero(~(width > 0)), np.any(width >= centre) or np.median(width) < LEAST_FWHM_NM
+            none, wide = np.flatnonzero(~(width > 0)), np.any(width >= centre) or np.median(width) < MIN_FWHM_NM
             refuse(none.size, "bands.width", places["fwhm"], band=none + 1, width=width[none] / to_nm)
             refuse(wide, "bands.widths", places["fwhm"], least=width.min(), most=width.max(), unit=unit)
         falls, same = np.flatnonzero(np.diff(centre) <= 0), np.unique(centre).size < centre.size
@@ -449,8 +449,8 @@ def gdal_transform(text: str | None) -> Affine | None:
     return Affine.from_gdal(*(float(n) for n in numbers)) if len(numbers) == 6 else None
 
 
-_LEAST_FILLED = 8  # bands that hold one number by no chance
-_MOST_FILLS = 3
+_MIN_FILLED = 8  # bands that hold one number by no chance
+_MAX_FILLS = 3
 
 
 def filled(stored: npt.NDArray[Any], ignore: float | None = None) -> Mask:
@@ -465,8 +465,8 @@ def filled(stored: npt.NDArray[Any], ignore: float | None = None) -> Mask:
     [[True, True, False, True, False], [True, True, False, False, False], [True, False, False, False, False]]
     """
     last = stored[-1]
-    fill = np.asarray(last == 0 if len(stored) < _LEAST_FILLED else last <= 0)
-    if len(stored) >= _LEAST_FILLED and ignore is None and stored.dtype.kind in "iu" and stored.dtype.itemsize > 1:
+    fill = np.asarray(last == 0 if len(stored) < _MIN_FILLED else last <= 0)
+    if len(stored) >= _MIN_FILLED and ignore is None and stored.dtype.kind in "iu" and stored.dtype.itemsize > 1:
         fill |= last == np.iinfo(stored.dtype).max
     fill &= (stored[0] == last) & (stored[len(stored) // 2] == last)  # as few pixels are; they are looked at in full
     fill[fill] = (stored[:, fill] == last[fill]).all(axis=0)
@@ -482,7 +482,7 @@ def fill_notes(stored: npt.NDArray[Any], ignore: float | None) -> list[str]:
     found = stored[filled(stored.T, ignore), -1]
     found = found[~np.isin(found, (0, np.nan if ignore is None else ignore))]
     listed = [f"{value:g}" for value in np.unique(found)]
-    which = " or ".join(listed[:_MOST_FILLS]) + ", ..." * (len(listed) > _MOST_FILLS)
+    which = " or ".join(listed[:_MAX_FILLS]) + ", ..." * (len(listed) > _MAX_FILLS)
     warning = f"warning: {found.size} of {len(stored)} pixels seen hold {which} in every band"
     return [f"{warning}: taken for no data, which nothing states"] * bool(listed)
 

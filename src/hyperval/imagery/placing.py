@@ -45,7 +45,7 @@ _FILLED = 1e-6  # weight of a cell that was filled from its neighbours
 _SIDE_PIXELS = 4.0  # a polygon's sides are divided, as a straight one is bent in the raw image
 MAX_VERTICES = 1_000_000
 _AREA_PLACES = 400  # at which the area of a pixel is looked at
-MOST_NODES = 160_000  # of the coarse grid that a place is first looked for in
+MAX_NODES = 160_000  # of the coarse grid that a place is first looked for in
 _STEPS = 8  # of the search from the nearest node to the nearest pixel
 _FARTHEST = 1.5  # [pixel] beyond the image that a place may lie
 _SUN_ZENITH = re.compile(r"(sun|solar)\W+zenith", re.IGNORECASE)
@@ -145,7 +145,7 @@ class LocationTable:
     @cached_property
     def _coarse(self) -> tuple[Any, Index, Array]:
         """Every n-th pixel with a place: their tree, their (line, sample), and the scale of x and y in it."""
-        fewest, found = math.ceil(math.prod(self.shape) / MOST_NODES), []
+        fewest, found = math.ceil(math.prod(self.shape) / MAX_NODES), []
         step = next(n for n in count(fewest) if math.gcd(n, self.shape[1]) == 1)  # not the same columns of all lines
         for first in range(0, self.shape[0], _BLOCK):
             x, y = self._xy(first, min(_BLOCK, self.shape[0] - first))

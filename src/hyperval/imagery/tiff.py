@@ -28,7 +28,7 @@ from hyperval.imagery.products import NO_MAP, described_beside
 from hyperval.units import in_nm
 
 MAX_BANDS = 20_000
-MOST_COMPRESSED = 20_000  # times; a plain mask reaches a thousand
+MAX_COMPRESSED = 20_000  # times; a plain mask reaches a thousand
 MAX_TILE_BYTES = 1 << 30
 TIFF_SUFFIXES = (".tif", ".tiff", ".gtif", ".gtiff", ".geotiff")
 TIFF_MARKS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -114,7 +114,7 @@ def _checked_type(dataset: Any, path: Path) -> np.dtype:
     refuse(dtype.kind == "c", "tiff.complex", path)
     refuse(any(MaskFlags.per_dataset in flags for flags in dataset.mask_flag_enums), "tiff.mask", path)
     stated, stored = lines * samples * count * dtype.itemsize, path.stat().st_size
-    if stated > stored * (MOST_COMPRESSED if dataset.compression else 1):
+    if stated > stored * (MAX_COMPRESSED if dataset.compression else 1):
         raise refusal("tiff.short", path, stored=stored, stated=stated, count=count, lines=lines, samples=samples)
     rows, cols = dataset.block_shapes[0]
     refuse(rows * cols * dtype.itemsize * count > MAX_TILE_BYTES, "tiff.block", path, mib=MAX_TILE_BYTES >> 20)

@@ -27,7 +27,7 @@ from hyperval.errors import refuse
 from hyperval.model.stated import unique
 from hyperval.products import RocCurve, ScoreDistribution
 
-SMALLEST_SD = 1e-12
+MIN_SD = 1e-12
 
 
 def probit(p: npt.ArrayLike) -> Array:
@@ -40,7 +40,7 @@ _STEPS = 80
 _FAR = 1e7  # standard deviations: beyond it even a t law of two degrees of freedom has less than 1e-14
 _CHUNK = 16_384  # numbers of one array in the search for thresholds: they fit in the processor's cache
 # A third-order step from closer than this to the goal (in log P) ends within 1e-14 of it.
-_LAST_STEP, _LEAST_CURVED = 1e-5, 1e-4
+_LAST_STEP, _MIN_CURVED = 1e-5, 1e-4
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ def _law_terms(scores: ClassScores, times: int = 1) -> Laws:
     For a class with nu degrees of freedom the tail is 1 - F_t,nu((x - theta_m) / (sigma_m sqrt((nu-2)/nu))).
     """
     fraction, mean, sd, nu = (np.ascontiguousarray(a.T) for a in vars(scores).values())
-    scale, tailed = np.maximum(sd, SMALLEST_SD), np.isfinite(nu)
+    scale, tailed = np.maximum(sd, MIN_SD), np.isfinite(nu)
     peak = np.full(nu.shape, -_LOG_ROOT_2PI)
     if tailed.any():
         dof = nu[tailed]
@@ -196,7 +196,7 @@ def _thresholds(log_pfa: Array, scores: ClassScores) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):
             step = x - 2.0 * value * slope / (2.0 * slope**2 - value * curvature)
         bracketed = (step > low) & (step < high)  # False for NaN
-        final = bracketed & (np.abs(value) < _LAST_STEP) & (np.abs(value * curvature) < _LEAST_CURVED * slope**2)
+        final = bracketed & (np.abs(value) < _LAST_STEP) & (np.abs(value * curvature) < _MIN_CURVED * slope**2)
         roots[active] = np.where(final, step, x)
         unfinished = ~final & (np.abs(value) > 1e-12) & (high - low > 1e-14 * np.maximum(1.0, np.abs(x)))
         if not unfinished.any():
@@ -306,7 +306,7 @@ class Host:
         for part, mean, normal, tailed, dof in self.components(means, sds):
             distance = mean[:, None, :] - threshold[:, :, None]
             for factor, probability in zip(*(a.T[:, :, None] for a in chi_square_mixing(dof)), strict=True):
-                sd = np.sqrt(np.maximum(normal + tailed * factor, SMALLEST_SD**2))[:, None, :]
+                sd = np.sqrt(np.maximum(normal + tailed * factor, MIN_SD**2))[:, None, :]
                 weight = (part[:, None] * probability)[:, :, None]
                 z = distance / sd
                 value = np.exp(-0.5 * z**2) / (np.sqrt(2.0 * np.pi) * sd) if density else ndtr(z)
@@ -365,7 +365,7 @@ def _exceedance(threshold: Array, means: Array, sds: Array, host: Host | None) -
         elif host is not None:
             yield part, host.exceedance(threshold[:, part], means, sds)
         else:
-            z = (means[:, None] - threshold[:, part, None]) / np.maximum(sds, SMALLEST_SD)[:, None]
+            z = (means[:, None] - threshold[:, part, None]) / np.maximum(sds, MIN_SD)[:, None]
             yield part, ndtr(z)  # (3.31)
 
 
@@ -576,7 +576,7 @@ class RocScores:
 
     def log10_false_alarm(self, pd: Array) -> Array:
         """log10 P_FA (n,) at which P_D is ``pd`` (n,), pixels (3.31 solved for the threshold)."""
-        reach = _FAR * np.maximum(self.sds, SMALLEST_SD)
+        reach = _FAR * np.maximum(self.sds, MIN_SD)
         low, high = (self.means - reach).min(axis=1), (self.means + reach).max(axis=1)
         for _ in range(_STEPS):
             middle = 0.5 * (low + high)

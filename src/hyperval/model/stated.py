@@ -22,7 +22,7 @@ import scipy  # its parts are loaded where they are first named
 from hyperval import datasets
 from hyperval.atmosphere import AtmosphericState, atmospheric_terms
 from hyperval.atmosphere.between import InterpolatedTerms, interpolated_terms
-from hyperval.atmosphere.physics import GREATEST_AIR_ATM, GREATEST_WATER_G_CM2, amounts
+from hyperval.atmosphere.physics import MAX_AIR_ATM, MAX_WATER_G_CM2, amounts
 from hyperval.atmosphere.solar import SPECTRA, source_samples
 from hyperval.atmosphere.state import MAX_SOLAR_ZENITH_DEG, gas_columns, standard_profile
 from hyperval.atmosphere.terms import NOT_AVERAGED, AtmosphericTerms
@@ -57,9 +57,9 @@ Made = TypeVar("Made")
 SAME_BAND_NM = 0.05  # centres this close are the same band
 # Below this many spectra for each band the sample covariance is shrunk (Ledoit & Wolf 2004), as for pixels.
 FEW_PER_BAND = 3
-MOST_UNCOVERED = 0.1  # of the usable bands; a spectrum that lacks more is taken for a mistake
+MAX_UNCOVERED = 0.1  # of the usable bands; a spectrum that lacks more is taken for a mistake
 _SUN, _VIEW = ("solar_zenith_deg", "solar_azimuth_deg"), ("view_zenith_deg", "view_azimuth_deg")
-MOST_RUNS = 400  # of the engine, at about four seconds each where nothing is cached
+MAX_RUNS = 400  # of the engine, at about four seconds each where nothing is cached
 # Variables that select the files of an engine.
 _ENVIRONMENT = (
     "HYPERVAL_CACHE", "HYPERVAL_DATA", "HYPERVAL_MODTRAN", "HYPERVAL_MODTRAN_VERSION", "HYPERVAL_MODTRAN_DATA"
@@ -360,7 +360,7 @@ def uncovered_bands(scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics
             w = axis.centre_nm[uncovered]
             bands = f"{w.size} usable band{'s' * (w.size > 1)} (first {w[0]:g} nm, last {w[-1]:g} nm)"
             facts = {"at": f"scene.{key}.{i}.spectrum", "low": axis.centre_nm[0], "high": axis.centre_nm[-1]}
-            refuse(w.size > MOST_UNCOVERED * axis.good.sum(), "surface.cover", name=surface.name, bands=bands, **facts)
+            refuse(w.size > MAX_UNCOVERED * axis.good.sum(), "surface.cover", name=surface.name, bands=bands, **facts)
             yield f"the spectrum of {surface.name!r} does not reach {bands}, left out"
 
 
@@ -534,7 +534,7 @@ class Atmosphere(Cached):
             states = [{}, *({name: x} for name, values in grid.items() for x in values[1:].tolist())]
         elif grid:
             states = [dict(zip(grid, row, strict=True)) for row in product(*(v.tolist() for v in grid.values()))]
-        refuse(len(states) > MOST_RUNS, "engine.runs", count=len(states), what=what, most=MOST_RUNS)
+        refuse(len(states) > MAX_RUNS, "engine.runs", count=len(states), what=what, most=MAX_RUNS)
         runs = [self.run(row) for row in track(states, f"atmosphere, {what}", len(states))]
         self._between = interpolated_terms(grid, runs, star=self.star) if grid else None
 
@@ -598,7 +598,7 @@ def engine_notes(state: AtmosphericState, terms: AtmosphericTerms) -> list[str]:
             "which the scenario states, is not used"
         )
     if terms.provenance.get("engine_ratio"):
-        limits = (GREATEST_AIR_ATM, "atm of air"), (GREATEST_WATER_G_CM2, "g cm-2 of water vapour")
+        limits = (MAX_AIR_ATM, "atm of air"), (MAX_WATER_G_CM2, "g cm-2 of water vapour")
         notes += [
             f"the light path crosses {amount:.2g} {unit}: the engine's gases were compared with MODTRAN 6 up to "
             f"{greatest:g}"

@@ -34,9 +34,9 @@ Groups = dict[str, list[TargetObject]]
 
 BACKGROUND = "detector background"
 BY_PIXEL = "object-by-pixel"  # objects by their halos, alarms by pixel
-MOST_NAMED = 10  # anomalies
-_MOST_INFLUENCES = 4000  # pixels from which the sampling error of the mean of all is estimated, to 3 %
-_MOST_SCORES = 500  # stored of one population: the exact tail of a curve
+MAX_NAMED = 10  # anomalies
+_MAX_INFLUENCES = 4000  # pixels from which the sampling error of the mean of all is estimated, to 3 %
+_MAX_SCORES = 500  # stored of one population: the exact tail of a curve
 
 
 def map_name(target: str, detector: str) -> str:
@@ -272,7 +272,7 @@ class _Curves:
     def background_scores(self, scores: Array, subject: str, detector: str) -> px.AlarmBlocks:
         """The scores of the background with their places; their exceedance curve is a product."""
         noise = px.AlarmBlocks.from_map(scores, self.alarms, classes=self.place.classes)
-        if noise.scores.size >= px.FEWEST_FOR_A_CURVE:
+        if noise.scores.size >= px.MIN_FOR_A_CURVE:
             self.products["exceedance"][subject, detector] = px.exceedance_curve(noise)
         return noise
 
@@ -293,7 +293,7 @@ class _Curves:
             return errors
         if not np.array_equal(place.pixels_of(*detection.background), self.alarms):
             return errors
-        lines, samples = px.drawn_pixels(self.alarms, _MOST_INFLUENCES, np.random.default_rng(0))
+        lines, samples = px.drawn_pixels(self.alarms, _MAX_INFLUENCES, np.random.default_rng(0))
         pixels, usable = place.pixel_values(lines, samples, bank.bands)
         weights, stratum = bank.detectors[key].weights[0], place.classes[lines, samples][usable]
         error, bias = own_mean_sampling(weights, *bank.background, pixels[usable], stratum, noise.scores.size)
@@ -369,7 +369,7 @@ def _add_pools(roc: dict[Any, Any], detection: Detection) -> None:
 
 def _score_moments(values: Array) -> ScoreDistribution:
     sd = float(np.std(values, ddof=1)) if values.size > 1 else float("nan")
-    tail = np.partition(values, values.size - _MOST_SCORES)[-_MOST_SCORES:] if values.size > _MOST_SCORES else values
+    tail = np.partition(values, values.size - _MAX_SCORES)[-_MAX_SCORES:] if values.size > _MAX_SCORES else values
     return ScoreDistribution(float(np.mean(values)), sd, int(values.size), greatest=np.sort(tail)[::-1])
 
 
@@ -388,13 +388,13 @@ def _anomaly_note(place: Place, detector: str, scores: Array, curve: ExceedanceC
         return f"{detector}: no pixel beyond {threshold:.4g}, which {level:g} of the background exceeds"
     sizes, words = np.bincount(labels.ravel()), list[str]()
     peaks = ndimage.maximum_position(scores, labels, np.arange(1, count + 1))
-    for line, sample in sorted(peaks, key=lambda position: -scores[position])[:MOST_NAMED]:
+    for line, sample in sorted(peaks, key=lambda position: -scores[position])[:MAX_NAMED]:
         label, size = f"line {line}, sample {sample}", int(sizes[labels[line, sample]])
         if place.cube.transform is not None:
             x, y = place.cube.transform @ (sample + 0.5, line + 0.5)
             label += f" ({x:.2f}, {y:.2f})"
         words.append(f"{label}: {scores[line, sample]:.4g}, {size} pixel{'' if size == 1 else 's'}")
-    words += [f"and {count - MOST_NAMED} weaker"] if count > MOST_NAMED else []
+    words += [f"and {count - MAX_NAMED} weaker"] if count > MAX_NAMED else []
     facts = {"count": count, "threshold": threshold, "level": level, "strongest": "; ".join(words)}
     return said("anomalies", detector=detector, **facts)
 

@@ -33,18 +33,18 @@ from hyperval.statistics_library import ClassStatistics
 
 LINE = "empirical line"
 CIRCULAR = "the empirical line goes through this panel whatever it reflects: no degree of freedom is left"
-MOST_PIXELS = 20_000  # of a region, drawn at random, to bound memory
-MOST_NUMBERS = 8_000_000  # pixels times bands held at once
-FEWEST_PIXELS = 200
+MAX_PIXELS = 20_000  # of a region, drawn at random, to bound memory
+MAX_NUMBERS = 8_000_000  # pixels times bands held at once
+MIN_PIXELS = 200
 PIXELS_PER_BAND = 10  # with fewer, distances are taken in fewer components
 COMPONENTS = 6  # leading ones whose correlation on the ground is measured
 WINDOW, REACH, WINDOWS = 64, 24, 12  # [pixels]; windows of the image in which correlation is measured
 QUANTILES = 160
-FEWEST_FOR_CORRELATION = 50  # with fewer, a correlation on the ground is within chance
+MIN_FOR_CORRELATION = 50  # with fewer, a correlation on the ground is within chance
 PIXELS_PER_FEATURE = 3  # with fewer for training, sampling dominates the classifier's error
 _DRAWS_PER_WINDOW = 16  # pixels drawn for each window
 _TAIL_SEED, _MEAN_SEED, _LAW_SEED = 31, 37, 41
-MOST_FOR_SNR = 2_000_000  # pixels times bands of a region used for its SNR
+MAX_FOR_SNR = 2_000_000  # pixels times bands of a region used for its SNR
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,7 +279,7 @@ def _thinned_pixels(place: Place, masks: Labels, name: str) -> Array:
     """Valid pixels (n, B) of a region, evenly thinned to bound memory."""
     region = masks[name] if name in masks else place.region(name)
     count = int(np.count_nonzero(region))
-    step = -(-count // min(MOST_PIXELS, MOST_FOR_SNR // place.cube.bands))
+    step = -(-count // min(MAX_PIXELS, MAX_FOR_SNR // place.cube.bands))
     return place.cube.spectra(px.nth_pixels(region, np.arange(0, count, step)))
 
 
@@ -322,7 +322,7 @@ def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Pix
     n, axis = statistics.n, place.cube.axis
     variance = np.diag(statistics.covariance)
     bands = np.flatnonzero(place.cube.axis.clear & np.isfinite(variance) & (variance > 0))
-    if n < FEWEST_PIXELS or bands.size < px.FEWEST_LEADING:
+    if n < MIN_PIXELS or bands.size < px.MIN_LEADING:
         return None
     rng = np.random.default_rng(_TAIL_SEED)
     mean, covariance = statistics.mean[bands], statistics.covariance[np.ix_(bands, bands)]
@@ -345,14 +345,14 @@ def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Pix
     windows = _projected_windows(place, region, bands, rng, project, centred)
     reach = min(REACH, max(*region.shape) - 1)
     n_mean, n_variance = px.independent_pixels(windows, px.neighbour_shares(region, reach, rng), n, reach)
-    lines, samples = px.drawn_pixels(region, max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), FEWEST_PIXELS), rng)
+    lines, samples = px.drawn_pixels(region, max(min(MAX_PIXELS, MAX_NUMBERS // len(axis)), MIN_PIXELS), rng)
     order, dimensions = np.lexsort((samples, lines)), (dimension, leading)
     parts = [
         [px.squared_mahalanobis(pixels, mean, vectors[:, :k], values[:k]) for k in dimensions]
         for pixels, _ in place.valid_pixels(lines[order], samples[order], bands)
     ]
     distances = [np.concatenate(part) for part in zip(*parts, strict=True)]
-    if distances[0].size < FEWEST_PIXELS:
+    if distances[0].size < MIN_PIXELS:
         return None
     full, lead = (
         px.fit_tail_dof(d, k, estimated_on=n, independent=independent / n * d.size)
@@ -419,7 +419,7 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
         expanded[np.ix_(valid, valid)] = part
         return expanded
 
-    if n < FEWEST_FOR_CORRELATION:
+    if n < MIN_FOR_CORRELATION:
         model, factors = full(structured / n), full(common / n)
         return EstimatedPart(student_factor(n - 1) ** 2 * model, dof, model, covariance / n, n - 1.0, factors)
     mean, rng = statistics.mean[valid], np.random.default_rng(_MEAN_SEED)
@@ -458,7 +458,7 @@ class RegionLaws:
         (n,); and the good bands in the windows of the atmosphere.
         """
         axis, rng = self._place.cube.axis, np.random.default_rng(_LAW_SEED)
-        limit = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), 2)
+        limit = max(min(MAX_PIXELS, MAX_NUMBERS // len(axis)), 2)
         lines, samples = px.drawn_pixels(self._masks[region], limit, rng)
         pixels, valid = self._place.pixel_values(lines, samples)
         finite = np.isfinite(pixels[valid]).all(axis=0)

@@ -59,9 +59,9 @@ MAX_TABLE_BYTES = 10 << 20
 _CHUNK = 1024  # pixels whose spectra are read at once
 MAX_CELLS = 400_000_000
 MAX_OBJECTS = 10_000
-LEAST_FILL = 0.02  # pixels that are filled less are none of the target
+MIN_FILL = 0.02  # pixels that are filled less are none of the target
 SHIFTS = 32  # displacements of the finer image, where its registration has an error
-_MOST_SKEW = 0.02  # [pixels] of a side of the finer image over its whole length
+_MAX_SKEW = 0.02  # [pixels] of a side of the finer image over its whole length
 _REACH_SD = 5.0
 _LINES = 64  # read at once
 _GUARDED = "\0targets with their guard"  # a label's name that no region can have
@@ -586,7 +586,7 @@ def image_targets(
         if error:
             note += f"; registration of {error:.3g} pixels makes {float(np.sqrt(np.mean(spread**2))):.2g} (RMS) of it"
         return targets, [note]
-    remarks = [said("abundances", count=len(targets), pixels=mean.size, file=path.name, least=LEAST_FILL)]
+    remarks = [said("abundances", count=len(targets), pixels=mean.size, file=path.name, least=MIN_FILL)]
     return targets, [*remarks, said("abundances.whole", file=path.name)] if np.all(mean == 1.0) else remarks
 
 
@@ -600,7 +600,7 @@ def _cell_grid(truth: FinerTruth, raster: Raster, cube: Cube, source: str) -> Fi
             raise refusal("finer.crs", source, own=raster.crs.to_string()[:60], other=cube.crs.to_string()[:60])
         to_pixels: Affine = ~image @ fine
         skew = max(abs(to_pixels.b) * raster.lines, abs(to_pixels.d) * raster.samples)
-        refuse(skew > _MOST_SKEW or to_pixels.a <= 0 or to_pixels.e <= 0, "finer.aslant", source)
+        refuse(skew > _MAX_SKEW or to_pixels.a <= 0 or to_pixels.e <= 0, "finer.aslant", source)
         grid = FinerGrid(np.array([to_pixels.f, to_pixels.c]), np.array([to_pixels.e, to_pixels.a]))
     refuse(grid.step.max() > 0.5, "finer.cells", source, line_step=grid.step[0], sample_step=grid.step[1])
     return grid
@@ -633,8 +633,8 @@ def _abundance_maps(truth: AbundanceTruth, raster: Raster, path: Path) -> Iterat
         fill = np.concatenate([values for _, values in _line_strips(raster, band)]).astype(float)
         if not np.all((fill >= -1e-6) & (fill <= 1 + 1e-6)):
             raise refusal("truth.abundance", str(path), band=band + 1, low=np.nanmin(fill), high=np.nanmax(fill))
-        fractions = np.where(fill >= LEAST_FILL, np.minimum(fill, 1.0), 0.0)
-        refuse(not fractions.any(), "truth.empty", str(path), material=material, least=LEAST_FILL)
+        fractions = np.where(fill >= MIN_FILL, np.minimum(fill, 1.0), 0.0)
+        refuse(not fractions.any(), "truth.empty", str(path), material=material, least=MIN_FILL)
         yield material, fractions, with_edge_fills(np.clip(fill, 0.0, 1.0))
 
 
@@ -648,7 +648,7 @@ def with_edge_fills(fill: Array) -> Array:
     >>> with_edge_fills(np.array([[0.01, 0.0], [0.0, 0.5]])).tolist()
     [[0.0, 0.0], [0.0, 0.51]]
     """
-    filled_pixels = fill >= LEAST_FILL
+    filled_pixels = fill >= MIN_FILL
     distance, nearest = ndimage.distance_transform_edt(~filled_pixels, return_indices=True)
     edge, filled = ~filled_pixels & (distance < 2.0), np.where(filled_pixels, fill, 0.0)
     np.add.at(filled, tuple(nearest[:, edge]), fill[edge])
@@ -674,8 +674,8 @@ def target_from_fills(
     name: str, material: str, fills: Array, corner: tuple[int, int], shape: tuple[int, int], area_m2: float, where: str
 ) -> TargetObject:
     """A target by the fills (K, h, w) of a window: its pixels are those of which the mean reaches 0.02."""
-    mask = fills.mean(axis=0) >= LEAST_FILL
-    refuse(not mask.any(), "truth.fill", where, name=name, least=LEAST_FILL)
+    mask = fills.mean(axis=0) >= MIN_FILL
+    refuse(not mask.any(), "truth.fill", where, name=name, least=MIN_FILL)
     (line, sample), part = mask_window(mask)
     part_fills = fills[:, line : line + part.shape[0], sample : sample + part.shape[1]].copy()
     attributes = {"material": material, "region": name}

@@ -33,10 +33,10 @@ from hyperval.units import RADIANCE_UNIT
 
 BLACK = "black ground"
 WHERE = "collection.empirical_line"
-FEWEST_USABLE = 0.8  # of the good bands
-MOST_LEFT_OUT = 0.05  # greatest error of a panel's reflectance by the line through the others
+MIN_USABLE = 0.8  # of the good bands
+MAX_LEFT_OUT = 0.05  # greatest error of a panel's reflectance by the line through the others
 SAME_BAND_NM = 0.5
-LEAST_CONTRAST = 0.01  # between sites, which a scene offers as they are: the SNR of the gain decides
+MIN_CONTRAST = 0.01  # between sites, which a scene offers as they are: the SNR of the gain decides
 DECIMALS = 4  # of the values in a network's file
 ROUNDING, NETWORK = "rounding", "as the network states"
 NOISE, CALIBRATION = "detector noise", "calibration"
@@ -223,12 +223,12 @@ def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
 def line_warnings(elm: EmpiricalLine) -> Iterator[str]:
     """Why a line is not to be relied on: bands lost, panels that do not lie on one line."""
     good, usable = int(elm.good.sum()), int((elm.usable & elm.good).sum())
-    if usable < FEWEST_USABLE * good:
+    if usable < MIN_USABLE * good:
         yield f"warning: the empirical line can be used in {usable} of {good} good bands only"
     if (factor := elm.birge_factor) > 1.0:
         yield said("line.contradiction", times=np.sqrt(factor))
     for name, errors in _leave_one_out_errors(elm).items():
-        if errors.size and (error := np.median(np.abs(errors))) > MOST_LEFT_OUT:
+        if errors.size and (error := np.median(np.abs(errors))) > MAX_LEFT_OUT:
             yield said("line.off", name=name, off=error)
 
 
@@ -346,7 +346,7 @@ def _site_reflectance(
         try:
             if not line_panels or (source.intercept and len(line_panels) == 1):
                 raise UsageError(reason)
-            line = fit_elm(line_panels, intercept=source.intercept, minimum_contrast=LEAST_CONTRAST)
+            line = fit_elm(line_panels, intercept=source.intercept, minimum_contrast=MIN_CONTRAST)
         except UsageError as error:
             notes.append(f"{name}: no reflectance by other sites of its flight line: {error.what}")
             continue

@@ -44,8 +44,8 @@ from hyperval.pixels.statistics import StoredBlock, Watch, by_segments, stream_b
 
 if TYPE_CHECKING:
     from hyperval.imagery import Cube
-MOST_VALUES = 50_000_000  # held at once for detectors that need the whole image: 0.4 GB, twice that while they score it
-LEAST_PIXELS = 10  # with fewer in the window the global mean is used
+MAX_VALUES = 50_000_000  # held at once for detectors that need the whole image: 0.4 GB, twice that while they score it
+MIN_PIXELS = 10  # with fewer in the window the global mean is used
 _STRIP_VALUES = 1_000_000  # values read at once: a strip of pixels with its margin
 _RANK = 1e-10  # undesired directions with singular values below this part of the greatest are rounding
 
@@ -280,7 +280,7 @@ def score_cube(
     Raises
     ------
     UsageError : a detector that does not fit the bands, or detectors that see an image at once which is too large for
-        that (:data:`MOST_VALUES`).
+        that (:data:`MAX_VALUES`).
     """
     used, required, slope, level = _spectra_of(cube, elm, bands, needed)
     weights = [np.atleast_2d(d.weights) for d in detectors.values()]
@@ -346,7 +346,7 @@ def _image_arrays(cube: Cube, detectors: Mapping[str, PixelDetector]) -> dict[st
     chosen = {n: d for n, d in detectors.items() if d.image is not None or (d.combine is not None and not d.by_pixel)}
     rows = {name: len(d.weights) + (d.quadratic is not None) for name, d in chosen.items()}
     values = sum(rows.values()) * cube.lines * cube.samples
-    refuse(values > MOST_VALUES, "detector.whole", names=", ".join(rows), values=values, most=MOST_VALUES)
+    refuse(values > MAX_VALUES, "detector.whole", names=", ".join(rows), values=values, most=MAX_VALUES)
     return {name: np.full((k, cube.lines, cube.samples), np.nan) for name, k in rows.items()}
 
 
@@ -415,7 +415,7 @@ def score_cube_locally(
         total = _window_sums(masked, outer)[:, *core] - _window_sums(masked, inner)[:, *core]
         count, scored = np.rint(total[-1].ravel()), valid[core]
         mean = total[:-1].reshape(slope.size, -1)
-        mean *= np.where(count >= LEAST_PIXELS, 1.0 / np.maximum(count, 1.0), 0.0)
+        mean *= np.where(count >= MIN_PIXELS, 1.0 / np.maximum(count, 1.0), 0.0)
         x = y[:-1, *core].reshape(slope.size, -1)
         z = x - mean
         zz = _column_products(z, z)
@@ -426,7 +426,7 @@ def score_cube_locally(
                 dz, dd = _correlation_products(target + origin, mean + origin, x + origin)
             score = _finite(SCORES[name](dz, dd, zz)).reshape(scored.shape)
             maps[key][lines, samples] = np.where(scored, score, np.nan)
-        return int(np.count_nonzero(scored.ravel() & (count < LEAST_PIXELS)))
+        return int(np.count_nonzero(scored.ravel() & (count < MIN_PIXELS)))
 
     def score_segment(starts: range) -> int:
         """Score the lines of a segment in strips of samples; the number of pixels that have the global mean."""
@@ -458,7 +458,7 @@ def _finite(score: Array) -> Array:
 
 
 BLOCK = 16  # side of the squares that halve the background [pixels]
-MOST_TRAINING_PIXELS = 20_000  # pixels of the background that an estimator is fitted to
+MAX_TRAINING_PIXELS = 20_000  # pixels of the background that an estimator is fitted to
 
 
 class ImageTruth(NamedTuple):
@@ -524,7 +524,7 @@ def _estimator_scores(estimator: Any, image: Array, target: Array, scene: ImageT
     scores = np.full(valid.shape, np.nan)
     if hasattr(estimator, "score_samples"):
         training = image[valid & scene.background]
-        training = training[:: max(1, len(training) // MOST_TRAINING_PIXELS)]
+        training = training[:: max(1, len(training) // MAX_TRAINING_PIXELS)]
         scores[valid] = -copy.deepcopy(estimator).fit(training).score_samples(image[valid])
         return scores
     # Alternate squares of the background and alternate whole objects.

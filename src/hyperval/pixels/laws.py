@@ -23,8 +23,8 @@ from hyperval.data import Array, Components, Index
 from hyperval.errors import refuse
 from hyperval.pixels.statistics import EigenDirections
 
-LEAST_DOF = 2.05  # of a t law: the covariance is finite; a heavier tail is held just above it
-MOST_DOF = 200.0  # beyond, indistinguishable from the normal law
+MIN_DOF = 2.05  # of a t law: the covariance is finite; a heavier tail is held just above it
+MAX_DOF = 200.0  # beyond, indistinguishable from the normal law
 STEPS = 100
 _TOLERANCE = 1e-4  # of the penalised log likelihood of one pixel
 _LLOYD_STEPS = 10
@@ -201,9 +201,9 @@ def _updated_dof(nu: float, p: int, probability: Array, weight: Array) -> float:
     def slope(v: float) -> float:
         return math.log(0.5 * v) - float(digamma(0.5 * v)) + 1.0 + mean
 
-    if slope(LEAST_DOF) <= 0.0:
-        return LEAST_DOF
-    return MOST_DOF if slope(MOST_DOF) >= 0.0 else float(scipy.optimize.brentq(slope, LEAST_DOF, MOST_DOF))
+    if slope(MIN_DOF) <= 0.0:
+        return MIN_DOF
+    return MAX_DOF if slope(MAX_DOF) >= 0.0 else float(scipy.optimize.brentq(slope, MIN_DOF, MAX_DOF))
 
 
 def _nearest_centres(x: Array, count: int, rng: np.random.Generator) -> Array:
@@ -297,8 +297,8 @@ def _validation_density(x: Array, fold: Index, count: int, dof: float | None, rn
 
 COUNTS = (1, 2, 3, 4, 6, 8, 12, 16)
 DIMENSIONS = 6  # leading components of the class; clusters differ in what varies most
-FEWEST_PIXELS = 200  # with fewer the clusters of one sample are not found in another
-MOST_CHOOSING = 5000  # pixels, thinned evenly, that the number of clusters is chosen on
+MIN_PIXELS = 200  # with fewer the clusters of one sample are not found in another
+MAX_CHOOSING = 5000  # pixels, thinned evenly, that the number of clusters is chosen on
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,7 +385,7 @@ def class_mixture(
     centred = (x - mean)[:, lead]
     eigen = EigenDirections.from_covariance(centred.T @ centred / max(x.shape[0] - 1, 1))
     dimensions = min(DIMENSIONS, eigen.values.size)
-    if dimensions == 0 or (count == "auto" and x.shape[0] < FEWEST_PIXELS):
+    if dimensions == 0 or (count == "auto" and x.shape[0] < MIN_PIXELS):
         return None
     # The sign of an eigenvector is arbitrary; the starts of the fit must not depend on it.
     vectors = eigen.vectors[:, :dimensions]
@@ -393,7 +393,7 @@ def class_mixture(
     directions = vectors / np.sqrt(eigen.values[:dimensions])
     leading = centred @ directions
     dof: float | None = None if tails else np.inf
-    thin = slice(None, None, -(-x.shape[0] // MOST_CHOOSING))
+    thin = slice(None, None, -(-x.shape[0] // MAX_CHOOSING))
     sample, sample_block = leading[thin], np.asarray(block)[thin]
     number = count if count != "auto" else chosen_count(sample, sample_block, COUNTS, rng, dof=dof)[0]
     if number == 1:
@@ -429,10 +429,10 @@ def shrunk_covariances(covariances: Array, pixels: Array) -> Array:
     return np.asarray((1.0 - weight) * covariances + weight * pooled)
 
 
-_LEAST_INVERSE = 1e-6  # of the search over a = 1/nu: below it no sample tells a t from the normal
+_MIN_INVERSE = 1e-6  # of the search over a = 1/nu: below it no sample tells a t from the normal
 _HALF_DROP = 1.920729410347062  # half the 0.95 quantile of chi-square with one degree of freedom
 LEADING_SHARE = 0.99  # of the variance, in the leading components that tails are measured in as well
-FEWEST_LEADING, MOST_LEADING = 2, 6
+MIN_LEADING, MAX_LEADING = 2, 6
 
 
 @dataclass(frozen=True)
@@ -464,7 +464,7 @@ def tail_log_likelihood(inverse_dof: float, squared_distances: Array, dimension:
     covariance misses it by more than the tail's shape allows.
     """
     d, p = squared_distances, dimension
-    if inverse_dof < _LEAST_INVERSE:
+    if inverse_dof < _MIN_INVERSE:
         s = float(np.mean(d)) / p
         constant = -0.5 * p * np.log(2.0 * s) - gammaln(0.5 * p)
         return float(np.sum((0.5 * p - 1.0) * np.log(d) - 0.5 * d / s) + d.size * constant)
@@ -504,7 +504,7 @@ def fit_tail_dof(
     *,
     estimated_on: int | None = None,
     independent: float | None = None,
-    within: tuple[float, float] = (LEAST_DOF, math.inf),
+    within: tuple[float, float] = (MIN_DOF, math.inf),
 ) -> TailFit:
     """Maximum-likelihood degrees of freedom and scale, with profile-likelihood limits of the former.
 
@@ -542,18 +542,18 @@ def fit_tail_dof(
     def drop(a: float) -> float:
         return top - fit(a) - _HALF_DROP
 
-    end, normal = min(1.0 / within[0], 1.0 / LEAST_DOF - offset), fit(0.0)
+    end, normal = min(1.0 / within[0], 1.0 / MIN_DOF - offset), fit(0.0)
     start = min(1.0 / within[1], end)
     optimum = scipy.optimize.minimize_scalar(
         lambda a: -fit(a), bounds=(start, end), method="bounded", options={"xatol": 1e-8}
     )
     best, top = float(optimum.x), -float(optimum.fun)
-    if start == 0.0 and (best <= 2.0 * _LEAST_INVERSE or top <= normal):
+    if start == 0.0 and (best <= 2.0 * _MIN_INVERSE or top <= normal):
         best, top = 0.0, max(normal, top)
     high = end if drop(end) < 0 else scipy.optimize.brentq(drop, best, end)
     low = start if best == start or drop(start) <= 0 else scipy.optimize.brentq(drop, start, best)
     a = best + offset
-    scale = float(np.mean(d)) / dimension if a < _LEAST_INVERSE else _t_width(d, dimension, 1.0 / a) / (1.0 / a - 2.0)
+    scale = float(np.mean(d)) / dimension if a < _MIN_INVERSE else _t_width(d, dimension, 1.0 / a) / (1.0 / a - 2.0)
     # Where nu = inf is true, at the end of the range, twice the gain is half chi-square, half 0 (Self & Liang 1987).
     p_value = float(ndtr(-np.sqrt(2.0 * (top - normal)))) if top > normal else 1.0
     dof, lower, upper = (1.0 / a if a > 0 else math.inf for a in (best, high, low))
@@ -571,7 +571,7 @@ def distance_exceedance(squared_distance: npt.ArrayLike, dimension: int, dof: fl
 def leading_count(variances: Array, total: float) -> int:
     """How many leading components tails are measured in: those that hold 99 % of the ``total`` variance, 2 to 6."""
     count = int(np.searchsorted(np.cumsum(variances) / total, LEADING_SHARE)) + 1
-    return min(max(count, FEWEST_LEADING), MOST_LEADING, variances.size)
+    return min(max(count, MIN_LEADING), MAX_LEADING, variances.size)
 
 
 def squared_mahalanobis(pixels: npt.ArrayLike, mean: npt.ArrayLike, vectors: Array, values: Array) -> Array:
@@ -622,7 +622,7 @@ def moments_without_each(pixels: Array, part: Index) -> Iterator[tuple[Array, Ar
 
 
 def fit_leading_tails(
-    pixels: Array, mean: Array, covariance: Array, within: tuple[float, float] = (LEAST_DOF, math.inf)
+    pixels: Array, mean: Array, covariance: Array, within: tuple[float, float] = (MIN_DOF, math.inf)
 ) -> TailFit:
     """The tails of pixels (n, B) in the leading components of their covariance, of degrees of freedom ``within``."""
     directions = EigenDirections.from_covariance(covariance)

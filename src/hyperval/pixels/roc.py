@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 # The alarms of a roof or a shadow are one event, not one per pixel. Blocks stand for events: enough of them to estimate
 # their scatter, and large enough to be nearly independent.
 BLOCKS = 64
-SMALLEST_SIDE = 4
+MIN_SIDE = 4
 _RANKS = 160  # thresholds at which design effects are looked up
 _DECADE = 10.0
 _HALF_DRAWS, _SEED = 400, 23  # random divisions of the blocks into two halves
@@ -57,7 +57,7 @@ _GREATEST = 0.75  # weight of the greatest design effect of a decade beside thei
 
 def block_side(pixels: int) -> int:
     """Side of square blocks of which ``pixels`` fill about 64 [pixels]."""
-    return max(SMALLEST_SIDE, round(float(np.sqrt(pixels / BLOCKS))))
+    return max(MIN_SIDE, round(float(np.sqrt(pixels / BLOCKS))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,8 +278,8 @@ def _bartlett_weights(squares: Counts) -> sparse.csr_array:
 
 
 _PER_DECADE = 10
-_LEAST_ALARMS = 5
-FEWEST_FOR_A_CURVE = 20
+_MIN_ALARMS = 5
+MIN_FOR_A_CURVE = 20
 LEAST_EXPECTED_ALARMS = 10.0  # with fewer at a level no ratio or area is stated
 ANOMALY_LEVELS = (1e-4, 1e-3, 1e-2)  # P_FA at which a threshold of anomalies is stated
 
@@ -318,7 +318,7 @@ def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
     True
     """
     n = background.scores.size
-    decades = np.log10(n / _LEAST_ALARMS)
+    decades = np.log10(n / _MIN_ALARMS)
     level = 10.0 ** -(np.arange(int(decades * _PER_DECADE), -1, -1) / _PER_DECADE)
     level = level[level <= 0.5]
     # The lowest threshold that at most n P of the scores exceed; equal scores exceed it all or none.
@@ -425,7 +425,7 @@ POINTS_PER_DECADE = 20
 STATED_PD = (0.5, 0.9)
 LEVEL = 0.95  # of every interval here
 _SAFETY = 6.0  # nominal error rate of the distribution-free limit over that of the interval
-_LEAST_LOST = 8.0  # missed targets, as a sum of lost area, from which a variance can be estimated
+_MIN_LOST = 8.0  # missed targets, as a sum of lost area, from which a variance can be estimated
 _ROUNDING = 1.0 + 1e-12  # keeps a share that is a whole number of scores from rounding up to the next
 
 
@@ -641,7 +641,7 @@ def area_interval(placed: Array, target_variance: float, background_variance: fl
     value = float(np.clip(placed.mean(), 0.0, 1.0))
     variance, m = target_variance + background_variance, placed.size
     low, high = logit_interval(value, variance, m, n)
-    if min(float(np.sum(1.0 - placed)), float(np.sum(placed))) >= _LEAST_LOST:
+    if min(float(np.sum(1.0 - placed)), float(np.sum(placed))) >= _MIN_LOST:
         return low, high
     least, greatest = intervals.bounded_mean_limits(np.clip(placed, 0.0, 1.0), 1.0 - _SAFETY * (1.0 - LEVEL))
     normal = float(special.ndtri(0.5 + LEVEL / 2.0))

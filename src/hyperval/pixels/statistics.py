@@ -400,7 +400,7 @@ def nth_pixels(mask: Mask, numbers: Index, until: Index | None = None) -> tuple[
 
 COMPONENTS = 24  # leading ones whose correlation on the ground is measured one by one
 _RING_NOISE = 2.0  # standard errors
-MOST_REMOVED = 0.5  # part of the correlation removed by the region's own mean; more cannot be restored
+MAX_REMOVED = 0.5  # part of the correlation removed by the region's own mean; more cannot be restored
 MIXTURES = 4  # random combinations of all the other components
 
 
@@ -465,7 +465,7 @@ def independent_pixels(windows: Iterable[tuple[Array, Mask]], shares: Array, n: 
     weights = np.where(np.logical_or.accumulate(noise, axis=1), 0.0, region_share)
     total, squares, share_sum = (np.sum(weights * part, axis=1) for part in (mean, mean**2, 1.0))
     observed = np.maximum(total, 1.0)
-    total = observed / (1.0 - np.minimum(np.maximum(share_sum - observed, 0.0) / n, MOST_REMOVED))
+    total = observed / (1.0 - np.minimum(np.maximum(share_sum - observed, 0.0) / n, MAX_REMOVED))
     removed = total / n
     squares = (1.0 - removed) ** 2 * squares + 2.0 * removed * (1.0 - removed) * observed + removed**2 * share_sum
     total, squares = (np.clip(part, 1.0, 0.5 * n) for part in (total, squares))
@@ -499,7 +499,7 @@ def mean_error_covariance(covariance: Array, components: PrincipalComponents, in
 
 
 # With fewer the variance of a single band is hardly known, however many bands there are.
-FEWEST_DOF = 10
+MIN_DOF = 10
 
 
 def factor_covariance(covariance: npt.ArrayLike, n: int) -> tuple[Array, Array, float]:
@@ -532,12 +532,12 @@ def factor_covariance(covariance: npt.ArrayLike, n: int) -> tuple[Array, Array, 
     model = factors + np.diag(unique)
     scatter = np.sum(factors**2) + np.trace(factors) ** 2 + 2.0 * np.sum(unique**2)
     dof = m * (np.sum(model**2) + np.trace(model) ** 2) / scatter
-    factors, dof = (factors, dof) if m >= FEWEST_DOF else (model, m)
+    factors, dof = (factors, dof) if m >= MIN_DOF else (model, m)
     return model * np.outer(sd, sd), factors * np.outer(sd, sd), float(dof)
 
 
 # A texture of less than this part of the noise's variance has no factor of its own.
-_LEAST_TEXTURE = 1e-6
+_MIN_TEXTURE = 1e-6
 
 
 def noise_part(
@@ -582,7 +582,7 @@ def noise_part(
     """
     s, sigma, n = (np.asarray(x, dtype=float) for x in (measured, expected, noise))
     texture = sigma - np.diag(n)
-    parts = [np.diag(n), texture] if np.trace(texture) > _LEAST_TEXTURE * n.sum() else [np.diag(n)]
+    parts = [np.diag(n), texture] if np.trace(texture) > _MIN_TEXTURE * n.sum() else [np.diag(n)]
     w = np.linalg.pinv(sigma, hermitian=True)
     whitened = [w @ part @ w for part in parts]
     expectation = np.array([[np.sum(m * part) for part in parts] for m in whitened])
@@ -610,13 +610,13 @@ def noise_part(
 # exactly.  Draws of one seed are the same in every campaign, and so is the error of their ranks: 1,999 leave 0.06
 # standard deviations of it, 119 would 0.25.
 DRAWS = 1999
-FEWEST_DRAWS = 119
-_LARGEST_WORK = 5e8  # draws times directions cubed; beyond it there are fewer draws
+MIN_DRAWS = 119
+_MAX_WORK = 5e8  # draws times directions cubed; beyond it there are fewer draws
 _DISTANCE_DRAWS = 399  # whose mean and spread are used
 _BLOCK = 500_000  # numbers of roots that are drawn together
-_LEAST_SHIFT = 0.05  # standard deviations of an eigenvalue by which directions that are not drawn would move it
+_MIN_SHIFT = 0.05  # standard deviations of an eigenvalue by which directions that are not drawn would move it
 # Directions with less than this part of the greatest eigenvalue are rounding error.
-SMALLEST_PART = 1e-12
+MIN_PART = 1e-12
 # Fewer independent pixels for each direction than this: the determinant of the sample says little.
 PIXELS_PER_DIRECTION = 3.0
 
@@ -633,7 +633,7 @@ class EigenDirections:
         """Eigenvectors of a symmetric (B, B) with some variance."""
         values, vectors = np.linalg.eigh(np.asarray(covariance, dtype=float))
         values, vectors = values[::-1], vectors[:, ::-1]
-        keep = values > SMALLEST_PART * max(float(values[0]), 0.0)
+        keep = values > MIN_PART * max(float(values[0]), 0.0)
         return cls(np.ascontiguousarray(vectors[:, keep]), values[keep])
 
     def whitened_factor(self, covariance: npt.ArrayLike) -> Array:
@@ -786,10 +786,10 @@ def sampling_band(
     n = np.broadcast_to(np.asarray(independent, dtype=float), (size,))
     dof = n / (1.0 + kurtosis)
     tail_squares = np.append(np.cumsum(values[::-1] ** 2)[::-1], 0.0)
-    negligible = tail_squares <= _LEAST_SHIFT * values[count - 1] ** 2 * np.sqrt(2.0 * dof.min())
+    negligible = tail_squares <= _MIN_SHIFT * values[count - 1] ** 2 * np.sqrt(2.0 * dof.min())
     drawn_size = max(int(negligible.argmax()), count)
-    affordable = round(0.025 * _LARGEST_WORK / drawn_size**3) * 40 - 1
-    draws = min(draws, max(affordable, FEWEST_DRAWS))
+    affordable = round(0.025 * _MAX_WORK / drawn_size**3) * 40 - 1
+    draws = min(draws, max(affordable, MIN_DRAWS))
     leading, trace, parts = EigenDirections(directions.vectors[:, :drawn_size], values[:drawn_size]), [], []
     if errors is None or not errors.size:  # along the directions themselves
         leading, errors = replace(leading, vectors=np.eye(drawn_size)), np.zeros((2, 0, drawn_size))

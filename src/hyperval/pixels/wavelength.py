@@ -34,10 +34,10 @@ _SHAPE = 1.0
 _WIDTH, _WIDTH_SD = 4.5, 0.25
 RANGE_NM = (742.0, 787.0)
 _DEGREE = 3  # of the polynomial that the logarithm of the surface follows there
-LEAST_OXYGEN_BANDS = _DEGREE + 6  # three more than the fit has parameters
-MOST_SHIFT = 10.0  # [nm]
+MIN_OXYGEN_BANDS = _DEGREE + 6  # three more than the fit has parameters
+MAX_SHIFT = 10.0  # [nm]
 _STEP = 1.0  # of the shifts that are tried first [nm]
-_LEAST_FIGURE = 1e-4  # relative: rounding of a reflectance to four digits
+_MIN_FIGURE = 1e-4  # relative: rounding of a reflectance to four digits
 _ALPHA = 1e-4  # of one test; a few of the shifts tried are independent: 1e-3 in all
 
 
@@ -65,7 +65,7 @@ def oxygen_residual(wavelength_nm: npt.ArrayLike, reflectance: npt.ArrayLike, fw
     """
     w, y, fwhm = (np.asarray(x, dtype=float) for x in (wavelength_nm, reflectance, fwhm_nm))
     used = (w > RANGE_NM[0]) & (w < RANGE_NM[1]) & (y > 0.0)
-    if used.sum() < LEAST_OXYGEN_BANDS:
+    if used.sum() < MIN_OXYGEN_BANDS:
         return None
     w, z, fwhm = w[used], np.log(y[used]), fwhm[used]
     centre = 0.5 * (RANGE_NM[0] + RANGE_NM[1])
@@ -85,7 +85,7 @@ def _oxygen_fit(z: Array, powers: Array, w: Array, fwhm: Array, follows: float) 
         log_t = _log_transmitted(_WIDTH * k)
         return np.column_stack([powers, k / np.exp(log_t)]), z - _log_transmitted(_WIDTH * absorption(shift)) + log_t
 
-    start_shift = float(min(np.arange(-MOST_SHIFT, MOST_SHIFT + _STEP, _STEP), key=lambda s: _misfit(*linear(s))))
+    start_shift = float(min(np.arange(-MAX_SHIFT, MAX_SHIFT + _STEP, _STEP), key=lambda s: _misfit(*linear(s))))
     dof = w.size - powers.shape[1] - 2  # the width of the light is held by its prior
 
     def residuals(p: Array) -> Array:
@@ -98,12 +98,12 @@ def _oxygen_fit(z: Array, powers: Array, w: Array, fwhm: Array, follows: float) 
     *surface, extra_width = np.linalg.lstsq(*linear(start_shift))[0]
     p = np.array([start_shift, _WIDTH, _WIDTH + extra_width, *surface])
     for _ in range(2):
-        scatter = max(float(np.sqrt(np.sum(residuals(p) ** 2) / dof)), _LEAST_FIGURE)
+        scatter = max(float(np.sqrt(np.sum(residuals(p) ** 2) / dof)), _MIN_FIGURE)
         best = scipy.optimize.least_squares(weighted, p, method="lm", args=(scatter,))
         p = best.x
     squares = float(np.sum(residuals(p) ** 2))
-    gain = 0.5 * max(_misfit(powers, z) - squares, 0.0) / max(squares / dof, _LEAST_FIGURE**2)
-    if special.fdtrc(2, dof, gain) > _ALPHA or abs(p[0]) > MOST_SHIFT:
+    gain = 0.5 * max(_misfit(powers, z) - squares, 0.0) / max(squares / dof, _MIN_FIGURE**2)
+    if special.fdtrc(2, dof, gain) > _ALPHA or abs(p[0]) > MAX_SHIFT:
         return None
     covariance = np.linalg.pinv(best.jac.T @ best.jac)
     by_scatter = student_factor(dof) * np.sqrt(covariance[0, 0])
@@ -124,7 +124,7 @@ def oxygen_band_width(wavelength_nm: npt.ArrayLike, spectrum: npt.ArrayLike) -> 
     w, y = np.asarray(wavelength_nm, dtype=float), np.asarray(spectrum, dtype=float)
     used = (w >= 740.0) & (w <= 790.0) & np.isfinite(y)
     continuum = np.vander((w[used] - 765.0) / 25.0, 3)
-    if used.sum() < continuum.shape[1] + LEAST_BANDS:
+    if used.sum() < continuum.shape[1] + MIN_BANDS:
         return float("nan")
     tried = np.arange(1.0, 41.0)
     squares = [_misfit(np.column_stack([continuum, oxygen_absorption(w[used], f)]), y[used]) for f in tried]
@@ -140,11 +140,11 @@ def _misfit(columns: Array, values: Array) -> float:
     return float(np.sum((values - columns @ np.linalg.lstsq(columns, values)[0]) ** 2))
 
 
-LEAST_DEPTH = 0.15  # of an absorption under the line between its shoulders
-LEAST_BANDS = 3  # in a feature
-MOST_GAP = 2.5  # widest step between bands of a feature over their median one: missing bands hide its centre
-LEAST_LEVEL = 0.8  # of the infrared's, in the last band before 770 nm
-LEAST_PLANT = 3.0  # reflectance at 785 nm over that at 675 nm
+MIN_DEPTH = 0.15  # of an absorption under the line between its shoulders
+MIN_BANDS = 3  # in a feature
+MAX_GAP = 2.5  # widest step between bands of a feature over their median one: missing bands hide its centre
+MIN_LEVEL = 0.8  # of the infrared's, in the last band before 770 nm
+MIN_PLANT = 3.0  # reflectance at 785 nm over that at 675 nm
 _STEPS = 20
 _SAMPLING = 0.08  # part of the band spacing by which a centre of few bands is uncertain
 
@@ -201,22 +201,22 @@ def absorption_centre(wavelength_nm: npt.ArrayLike, radiance: npt.ArrayLike, fea
     w, y = np.asarray(wavelength_nm, dtype=float), np.asarray(radiance, dtype=float)
     wide = (w > feature.centre_nm - 2.0 * feature.half_nm) & (w < feature.centre_nm + 2.0 * feature.half_nm)
     index = np.flatnonzero(wide)
-    if index.size < LEAST_BANDS + 2:
+    if index.size < MIN_BANDS + 2:
         return float("nan"), 0.0
     continuum = np.interp(w[index], w[index[[0, -1]]], y[index[[0, -1]]])
     centre, depth = float(w[index][np.argmin(y[index] / np.where(continuum > 0.0, continuum, np.inf))]), 0.0
     width = np.gradient(w)
     for _ in range(_STEPS):
         blue, core, red = _feature_bands(w, centre, feature)
-        if not blue.any() or not red.any() or core.sum() < LEAST_BANDS:
+        if not blue.any() or not red.any() or core.sum() < MIN_BANDS:
             return float("nan"), 0.0
         steps = np.diff(w[blue | core | red])
-        if steps.max() > MOST_GAP * np.median(steps):
+        if steps.max() > MAX_GAP * np.median(steps):
             return float("nan"), 0.0
         d = 1.0 - y[core] / _continuum(w, y, blue, core, red)
         area = float(np.sum(d * width[core]))
         depth = float(d.max())
-        if depth < LEAST_DEPTH or area <= 0.0:
+        if depth < MIN_DEPTH or area <= 0.0:
             return float("nan"), depth
         moment = float(np.sum(d * w[core] * width[core])) / area
         if abs(moment - centre) < 1e-3:
@@ -279,8 +279,8 @@ def red_edge(wavelength_nm: npt.ArrayLike, reflectance: npt.ArrayLike) -> float:
     rise = np.flatnonzero((w >= 670.0) & (w <= 780.0))
     half = 0.5 * (low + high)
     crossed = np.flatnonzero((y[rise][:-1] < half) & (y[rise][1:] >= half))
-    still_rising = float(y[w < 770.0][-1]) < LEAST_LEVEL * high
-    if low <= 0.0 or high < LEAST_PLANT * low or crossed.size != 1 or still_rising:
+    still_rising = float(y[w < 770.0][-1]) < MIN_LEVEL * high
+    if low <= 0.0 or high < MIN_PLANT * low or crossed.size != 1 or still_rising:
         return float("nan")
     k = rise[crossed[0]]
     return float(w[k] + (half - y[k]) / (y[k + 1] - y[k]) * (w[k + 1] - w[k]))
@@ -295,7 +295,7 @@ def wavelength_shifts(spectrum: npt.ArrayLike, axis: SpectralAxis, *, reflectanc
     y = np.asarray(spectrum, dtype=float)
     order = np.argsort(axis.centre_nm, kind="stable")
     used = order[(axis.good & np.isfinite(y))[order]]
-    if used.size < LEAST_BANDS + 2:
+    if used.size < MIN_BANDS + 2:
         return
     w, y = axis.centre_nm[used], y[used]
     if reflectance:
@@ -308,7 +308,7 @@ def wavelength_shifts(spectrum: npt.ArrayLike, axis: SpectralAxis, *, reflectanc
         return
     for feature in FEATURES:
         in_feature = np.abs(w - feature.centre_nm) <= feature.half_nm
-        if in_feature.sum() < LEAST_BANDS or np.max(axis.fwhm_nm[used][in_feature]) > feature.half_nm:
+        if in_feature.sum() < MIN_BANDS or np.max(axis.fwhm_nm[used][in_feature]) > feature.half_nm:
             continue
         centre, _ = absorption_centre(w, y, feature)
         if np.isfinite(centre):

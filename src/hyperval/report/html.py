@@ -131,7 +131,7 @@ _FIGURE_BYTES = 2_350_000  # of a page, for figures and the script that draws th
 # Of a run, beside each other, before everything else, embedded whatever happens.
 PICTURES = ("scene", "score-map-1", "score-map-1-expected")
 _BUDGET = "radiance-budget"
-_MOST_OPEN_FIGURES = 2  # of spectra, curves and scores of objects; the others are folded in their sections
+_MAX_OPEN_FIGURES = 2  # of spectra, curves and scores of objects; the others are folded in their sections
 
 # Products in the order of a page.
 _PRODUCTS = (*SPECTRA, "covariance", "classification", "scores", "roc", "abundance")
@@ -155,7 +155,7 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     spectra = sorted(first_figures(sides, run.table), key=rank)
     many = many_objects_figure(run.score_maps, sides)
     first = [*spectra, *filter(None, [many])]
-    charts, further = first[:_MOST_OPEN_FIGURES], first[_MOST_OPEN_FIGURES:]
+    charts, further = first[:_MAX_OPEN_FIGURES], first[_MAX_OPEN_FIGURES:]
     plots = further_figures(sides, run.table, equivalence_margin(run.provenance))
     # Of many objects that figure is a map and a histogram in place of a list.
     folded = [*further, *(one for one in plots if many is None or one.name != "object-scores")]

@@ -11,10 +11,10 @@ from hyperval.figures.rows import decimals, effect_text, find_criteria, outcome_
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
 from hyperval.results import EVERY, WORST_FIRST, Cause, Outcome, Result
 
-_MOST_NAMED = 9
-_MOST_KINDS = 5
+_MAX_NAMED = 9
+_MAX_KINDS = 5
 _LONGEST_NAME = 70
-_MOST_STEPS = 3
+_MAX_STEPS = 3
 SINCE = "since the accepted run"  # group of the attribution
 _KINDS = {
     Evidence.MODEL: ("acceptance criterion", "acceptance criteria"),
@@ -179,7 +179,7 @@ def _steps(rows: Sequence[Result], shown: Sequence[Result], reason: str) -> list
         steps.append("Look at the informational comparisons that are not met: they do not change the status.")
     if not criteria and any(row.planned for row in rows):
         steps.append("State acceptance criteria, if this campaign is to pass or fail.")
-    return steps[:_MOST_STEPS] or ["Nothing: keep these numbers as accepted."]
+    return steps[:_MAX_STEPS] or ["Nothing: keep these numbers as accepted."]
 
 
 def _unseen_text(gates: Sequence[Result]) -> str:
@@ -188,7 +188,7 @@ def _unseen_text(gates: Sequence[Result]) -> str:
     if not any(by_kind.values()):
         return ""
     names = list(dict.fromkeys(row.subject for row in by_kind["fitted"] if row.subject not in EVERY))
-    names[_MOST_NAMED:] = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
+    names[_MAX_NAMED:] = [f"{len(names) - _MAX_NAMED} more"] if len(names) > _MAX_NAMED else []
     unseen = f"{outcome_words(by_kind['unseen'])} ({_names(by_kind['unseen'])})" if by_kind["unseen"] else "none yet"
     return f"Budget and settings were fitted on {', '.join(names) or 'others'}; unseen: {unseen}."
 
@@ -339,11 +339,11 @@ def _names(rows: Sequence[Result]) -> str:
         what = f"{row.campaign}: " * several + plain_words(row.metric, row.product)
         name = row.subject if len(row.subject) <= _LONGEST_NAME else f"{row.subject[: _LONGEST_NAME - 1]}…"
         groups.setdefault(what, {})[name] = None
-    if sum(map(len, groups.values())) <= _MOST_NAMED:
+    if sum(map(len, groups.values())) <= _MAX_NAMED:
         return "; ".join(f"{what}: {', '.join(names)}" for what, names in groups.items())
-    if len(groups) <= _MOST_KINDS:
+    if len(groups) <= _MAX_KINDS:
         return "; ".join(f"{what}: {len(names)}" for what, names in groups.items())
     kinds = Counter(row.campaign if several else product_words(row.product) for row in rows)
-    if several and len(kinds) > _MOST_NAMED:  # the matrix below names them
+    if several and len(kinds) > _MAX_NAMED:  # the matrix below names them
         return f"{len(kinds)} campaigns"
     return ", ".join(f"{count} of {kind}" for kind, count in kinds.most_common())

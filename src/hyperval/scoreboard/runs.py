@@ -499,8 +499,8 @@ def peer_rows(observed: Observed, detection: Detection | None) -> list[Result]:
     if detection is None or place is None or detected is None:
         return []
     cube, bands = place.cube, np.flatnonzero(detected.bank.bands)
-    if cube.lines * cube.samples * bands.size > detect.MOST_VALUES:
-        why = f"SPy holds the image in memory, and it has more than {detect.MOST_VALUES:.0e} values"
+    if cube.lines * cube.samples * bands.size > detect.MAX_VALUES:
+        why = f"SPy holds the image in memory, and it has more than {detect.MAX_VALUES:.0e} values"
         return list(named(skip_rows(Cause.REFUSED, why, "auc"), PRODUCT, EVERY_OBJECT, PEER))
     image = np.concatenate([block.values[..., bands] for block in cube.blocks()])
     if place.line is not None:
@@ -737,7 +737,7 @@ def benchmark(
     return next((d.exit_code for d in done if d.exit_code is not None), 0 if any(d.values for d in done) else 5)
 
 
-_MOST_SUBJECTS = 30
+_MAX_SUBJECTS = 30
 _RANK_METRICS = ("log_auc@1e-3..1e-1", "auc")
 
 
@@ -771,7 +771,7 @@ def rank_figure(one: BenchmarkRun) -> Figure | None:
     """Ranks by subject, as a map: dark where the detector leads, with the set of ranks that are not refuted."""
     metric = next((m for m in _RANK_METRICS if any(name == f"rank_{m}" for *_, name in one.values)), "")
     every = list(dict.fromkeys(subject for subject, _, name in one.values if name == f"rank_{metric}"))
-    subjects = every[:_MOST_SUBJECTS]
+    subjects = every[:_MAX_SUBJECTS]
     # Where all objects are one subject, the map would say it twice.
     if not metric or len({*subjects, EVERY_OBJECT}) < 3 or not one.groups:
         return None

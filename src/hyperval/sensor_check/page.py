@@ -115,7 +115,7 @@ def _marker(axis: SpectralAxis) -> str:
     return "circle" if len(axis) < _FEW else ""
 
 
-_MOST_SWINGS = 20
+_MAX_SWINGS = 20
 
 
 def _published(check: SensorCheck) -> Iterator[Figure]:
@@ -152,7 +152,7 @@ def _sensitivity(check: SensorCheck) -> Iterator[Figure]:
     swings, probe, vary = check.swings, check.probe, check.vary
     if not swings:
         return
-    kept, views = swings[:_MOST_SWINGS], list[Panels]()
+    kept, views = swings[:_MAX_SWINGS], list[Panels]()
     rows, names = np.arange(len(kept), dtype=float), Axis.named([s.name for s in kept])
     for name, changes in (
         ("change of the SNR at reflectance 0.25 [%]", np.array([s.snr for s in kept]) * 100.0),

@@ -108,7 +108,7 @@ def side_for_fill(fill: float, psf_fwhm_pixels: float) -> float:
     return float(optimize.bisect(lambda side: centred_fill(side, psf_fwhm_pixels) - fill, 0.0, high, xtol=1e-15))
 
 
-SMALLEST_FILL = 1e-4  # a plank that gives less of a pixel's signal is left out of it
+MIN_FILL = 1e-4  # a plank that gives less of a pixel's signal is left out of it
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ def _place(scene: SceneFile, number: int, group: TargetGroup) -> Iterator[Plank]
         heading = float(rng.uniform(0.0, 90.0)) if group.heading_deg == "random" else group.heading_deg
         y, x = row + 0.5 + shift[0], column + 0.5 + shift[1]
         first_line, first_sample, fill = square_footprint(y, x, side, heading, psf)
-        lines, samples = np.nonzero(fill >= SMALLEST_FILL)
+        lines, samples = np.nonzero(fill >= MIN_FILL)
         pixels = lines + first_line, samples + first_sample, fill[lines, samples]
         yield Plank(f"{group.name}-{index:03d}", group, y, x, side, heading, *pixels)
 
@@ -284,7 +284,7 @@ def admixture_share(scene: SceneFile, admixture: Admixture, number: int) -> Fiel
     return np.asarray(share.astype(np.float32))
 
 
-_SMALLEST_VARIANCE = 1e-10  # of the mean variance of a band
+_MIN_VARIANCE = 1e-10  # of the mean variance of a band
 
 
 class Sampler:
@@ -299,7 +299,7 @@ class Sampler:
     def __init__(self, statistics: ClassStatistics, dof: float | None = None):
         covariance, self.dof = statistics.covariance, statistics.tail_dof if dof is None else dof
         # A covariance of less than full rank gains a spread that float32 draws hardly resolve.
-        least = _SMALLEST_VARIANCE * float(np.trace(covariance)) / len(covariance) * np.eye(len(covariance))
+        least = _MIN_VARIANCE * float(np.trace(covariance)) / len(covariance) * np.eye(len(covariance))
         self.mean: Field = statistics.mean.astype(np.float32)
         self.factor: Field = np.linalg.cholesky(covariance + least).T.astype(np.float32)
 
@@ -368,7 +368,7 @@ class SurfaceRenderer:
         rng = schema.generator(self.scene.seed, schema.SURFACE, line)
         rho = np.zeros((self.scene.samples, self.bands), np.float32)
         for share, draws in zip(self.shares(line), self._samplers, strict=True):
-            index = np.flatnonzero(share > SMALLEST_FILL)
+            index = np.flatnonzero(share > MIN_FILL)
             rho[index] += draws.draw(index.size, rng) * share[index, None]
         rho *= self._texture[line][:, None]
         rho *= (1.0 - self.ground.fill[line])[:, None]

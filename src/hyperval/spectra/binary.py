@@ -192,7 +192,7 @@ def _calibrations(raw: bytes, start: int, channels: int, dtype: np.dtype) -> dic
 
 MARK = b"SPECPR_MAGIC"
 MAX_SPECPR_BYTES = 256 << 20
-MOST_CHANNELS = 4852  # of the format
+SPECPR_CHANNELS = 4852  # of the format
 _CONTINUATION, _TEXT, _ERRORS = 1, 2, 8
 _FIRST, _MORE = 256, 383
 _RECORD = np.dtype({
@@ -251,7 +251,7 @@ def _values(raw: npt.NDArray[np.void], start: int, where: str) -> Array:
     more = max(0, -(-(n - _FIRST) // _MORE))
     following = raw[start + 1 : start + 1 + more]
     broken = np.any((following["flags"] & (_CONTINUATION | _TEXT)) != _CONTINUATION)
-    cut, title = n > MOST_CHANNELS or following.size != more or broken, _title(raw[start])
+    cut, title = n > SPECPR_CHANNELS or following.size != more or broken, _title(raw[start])
     refuse(cut, "specpr.continued", where, number=start, title=title, channels=n, count=following.size, more=more)
     return np.concatenate([raw["first"][start], following["more"].ravel()])[:n].astype(float)
 

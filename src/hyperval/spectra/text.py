@@ -380,7 +380,7 @@ def _column(wanted: str | int, titles: list[str], where: str) -> int:
     return wanted if isinstance(wanted, int) else titles.index(wanted)
 
 
-FEWEST_BANDS, FEWEST_BANDS_OF_A_DETECTOR = 4, 25
+MIN_BANDS, MIN_BANDS_OF_A_DETECTOR = 4, 25
 # What stands before a wavelength in a title, and behind it; no b: that counts bands.
 _BEFORE = r"(?:(?:[xrw]|wl|wvl|wav|wave|wavelength|lambda|spc|spec|rfl|rrs|refl|reflectance|nm|scan_visnir)[_. ]?)?"
 _WAVELENGTH = re.compile(rf"^{_BEFORE}([0-9]+(?:\.[0-9]+)?)[_ ]?[(\[]?(nm|um)?[)\]]?(?:_ref)?$", re.IGNORECASE)
@@ -482,10 +482,10 @@ def _first_band(titles: list[str]) -> int | None:
     titles = _without_end(titles)
     first = len(titles) - len([*takewhile(_WAVELENGTH.match, map(str.strip, reversed(titles)))])
     numbers = _wavelengths(titles[first:])
-    if numbers.size < FEWEST_BANDS or only_wavelength_unit(numbers) is None:
+    if numbers.size < MIN_BANDS or only_wavelength_unit(numbers) is None:
         return None
     step = np.diff(numbers)
-    detectors = min(MAX_JOINS, numbers.size // FEWEST_BANDS_OF_A_DETECTOR)
+    detectors = min(MAX_JOINS, numbers.size // MIN_BANDS_OF_A_DETECTOR)
     return first if np.sum(step <= 0) <= detectors or np.all(step < 0) else None
 
 

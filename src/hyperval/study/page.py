@@ -19,17 +19,17 @@ from hyperval.model import is_reread
 from hyperval.report.html import page
 from hyperval.report.verdict import number_text
 from hyperval.results import Cause, Outcome, Result, ResultTable
-from hyperval.study.plan import GROUND, LEAST_GAS, PFA, Plan, plain_value
+from hyperval.study.plan import GROUND, MIN_GAS, PFA, Plan, plain_value
 from hyperval.study.schema import Input, Knee, Plot, StudyFile
 
-LEAST_POINTS = 5
-MOST_LISTED = 500  # points that stand in results.csv one by one
+MIN_POINTS = 5
+MAX_LISTED = 500  # points that stand in results.csv one by one
 _FINE = 2001
 _FLAT = 1e-6  # of the output: below it nothing bends
-_MOST_LINES, _BINS = 9, 24
+_MAX_LINES, _BINS = 9, 24
 _SPREAD = {"low": 0.1, "middle": 0.5, "high": 0.9}
 _MARKERS = ("circle", "square", "diamond", "triangle", "inverted_triangle", "plus", "star", "x", "hex")
-_MOST_REASONS, _MOST_VALUES, _MOST_KNEES = 12, 12, 24
+_MAX_REASONS, _MAX_VALUES, _MAX_KNEES = 12, 12, 24
 
 
 class KneePoint(NamedTuple):
@@ -66,8 +66,8 @@ def knee(
     place, value = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     finite = np.isfinite(value)
     place, value = place[finite], value[finite]
-    if place.size < LEAST_POINTS:
-        return KneePoint(reason=f"{place.size} points; a knee needs {LEAST_POINTS}")
+    if place.size < MIN_POINTS:
+        return KneePoint(reason=f"{place.size} points; a knee needs {MIN_POINTS}")
     span = float(np.ptp(value))
     if span <= _FLAT * max(1.0, float(np.abs(value).max())):
         return KneePoint(reason="the curve is flat")
@@ -162,7 +162,7 @@ def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> 
     for name, value in plan.atmosphere_error.items():
         add("study", name, "interpolated atmosphere", "error_at_held_out_states", value, n=study.atmosphere.checked)
     # A point goes by its inputs, as another study of the same may number it otherwise.
-    for point in table.to_dict("records") if count <= MOST_LISTED else ():
+    for point in table.to_dict("records") if count <= MAX_LISTED else ():
         name_of = values_text({n: point[n] for n in inputs if point[n] is not None and point[n] == point[n]}, 12)
         for name, unit in numbers.items():
             why = point["reason"] if np.isnan(point[name]) or "SATURATION" in point["reason"] else ""
@@ -208,7 +208,7 @@ def _lines_figure(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequ
     frame, fixed, notes = _select_points(study, table, plot)
     places, members = _distinct(frame[item.name]), _distinct(frame[family]) if family else [None]
     words = not all(isinstance(v, int | float) for v in places)
-    spread = np.linspace(0, len(members) - 1, min(len(members), _MOST_LINES)).round().astype(int)
+    spread = np.linspace(0, len(members) - 1, min(len(members), _MAX_LINES)).round().astype(int)
     shown = [members[i] for i in dict.fromkeys(spread.tolist())]
     finite = frame[np.isfinite(frame[plot.output])]
     marks, texts, circles = [], [], []
@@ -359,8 +359,8 @@ def study_page(
     return page(
         "study.html.j2", figures, plan=plan, study=study, figures=figures, record=record, names=names, count=len(table),
         extremes={name: extremes(table[name]) for name in list(study.columns)[len(study.inputs) :]},
-        knees=knees[:_MOST_KNEES], knees_left_out=max(0, len(knees) - _MOST_KNEES), why=why,
+        knees=knees[:_MAX_KNEES], knees_left_out=max(0, len(knees) - _MAX_KNEES), why=why,
         listed={i.name: np.asarray(i.listed_values).tolist() for i in study.inputs if i.listed_values is not None},
-        most_values=_MOST_VALUES, reasons=reasons.most_common(_MOST_REASONS), values=values_text, number=number_text,
-        text=_text, anew=[path for path in moved if is_reread(plan.world.stated, path)], ground=GROUND, gas=LEAST_GAS,
+        most_values=_MAX_VALUES, reasons=reasons.most_common(_MAX_REASONS), values=values_text, number=number_text,
+        text=_text, anew=[path for path in moved if is_reread(plan.world.stated, path)], ground=GROUND, gas=MIN_GAS,
     )  # fmt: skip

@@ -32,10 +32,10 @@ from hyperval.study.schema import Input, Moving, Output, Random, Required, Study
 Column = npt.NDArray[Any]
 Columns = Mapping[str, Column]
 PFA = "pfa"  # beside the paths of the scenario: the false-alarm probability at which P_D is read
-_MOST_AT_ONCE = 512  # evaluations in one batch
-MOST_TRIED = 200  # values of an input that are tried one by one before anything runs
+_MAX_AT_ONCE = 512  # evaluations in one batch
+MAX_TRIED = 200  # values of an input that are tried one by one before anything runs
 GROUND = 0.3  # reflectance over which the error of the atmosphere is stated
-LEAST_GAS = 0.1  # and the two-way gas transmittance above which
+MIN_GAS = 0.1  # and the two-way gas transmittance above which
 
 
 def quantiles(distribution: Random, u: Array) -> Array:
@@ -190,7 +190,7 @@ def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> 
     """
     n = len(next(iter(columns.values())))
     values, problems = np.full((n, len(outputs)), np.nan), dict[int, str]()
-    pieces = [np.arange(start, min(start + _MOST_AT_ONCE, n)) for start in range(0, n, _MOST_AT_ONCE)]
+    pieces = [np.arange(start, min(start + _MAX_AT_ONCE, n)) for start in range(0, n, _MAX_AT_ONCE)]
     while pieces:
         rows = pieces.pop()
         moved = {p: c[rows] for p, c in columns.items()}
@@ -314,7 +314,7 @@ def values_to_try(item: Input | Required) -> list[Any]:
     if item.listed_values is None:
         return list(item.random.limits) if item.random is not None else []
     tries = item.listed_values.tolist()
-    return tries if len(tries) <= MOST_TRIED or item.listed_values.dtype == object else [min(tries), max(tries)]
+    return tries if len(tries) <= MAX_TRIED or item.listed_values.dtype == object else [min(tries), max(tries)]
 
 
 def plan_states(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any]], dict[str, tuple[float, ...]]]:
@@ -359,7 +359,7 @@ def _atmosphere_error(study: StudyFile, world: World) -> dict[str, float]:
     exact = replace(between, nodes={}, cache={})
     ours, theirs = between(states, count), exact(states, count)
 
-    clear = theirs.gas_transmittance > LEAST_GAS
+    clear = theirs.gas_transmittance > MIN_GAS
     radiance, expected = (mean_radiance(terms, GROUND, GROUND)[clear] for terms in (ours, theirs))
     error = radiance / expected - 1.0
     errors = {"radiance, worst": float(np.abs(error).max()), "radiance, rms": float(np.sqrt(np.mean(error**2)))}

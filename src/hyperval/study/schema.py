@@ -17,7 +17,7 @@ from hyperval.model.world import as_column
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$", max_length=60)]
 Probability = Annotated[float, Field(gt=0, lt=1)]
-MOST_POINTS = 100_000_000
+MAX_POINTS = 100_000_000
 Value = float | str | bool | None | list[Any] | dict[str, Any]
 
 
@@ -147,7 +147,7 @@ class Design(Model):
     """
 
     kind: Literal["grid", "one-at-a-time"] = "grid"
-    count: int = Field(1024, ge=2, le=MOST_POINTS, description="points drawn (Sobol) where an input is random")
+    count: int = Field(1024, ge=2, le=MAX_POINTS, description="points drawn (Sobol) where an input is random")
     seed: int = Field(0, ge=0)
 
 
@@ -347,5 +347,5 @@ def load_study(path: Path) -> StudyFile:
     InputError : no such file.
     """
     study = load_model(StudyFile, path)
-    refuse(study.count > MOST_POINTS, "study.points", str(path), count=study.count, most=MOST_POINTS)
+    refuse(study.count > MAX_POINTS, "study.points", str(path), count=study.count, most=MAX_POINTS)
     return study

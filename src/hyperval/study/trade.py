@@ -40,7 +40,7 @@ from hyperval.study.schema import Grid, Input, Move, Output, Plot, Probability, 
 POINTS, MAP_POINTS = 33, 17  # along an input: 1 more than a power of two, so that each piece halves the steps
 _STRIDES = (8, 4, 2, 1)
 _LIMITS_AT = 9  # values of the input at which an interval is predicted
-_SCAN, _MOST_LINES = 17, 12
+_SCAN, _MAX_LINES = 17, 12
 _ROC = np.geomspace(1e-6, 0.999, 73)
 OFFERED = package_table("study/trade.yaml")
 KINDS: dict[str, str] = OFFERED["outputs"]
@@ -61,8 +61,8 @@ class Trade(Model):
     from_nm: float = Field(500.0, gt=0)
     to_nm: float = Field(900.0, gt=0)
     detector: str = Field("", max_length=40)
-    subject: list[str] = Field(default_factory=list, max_length=_MOST_LINES)
-    background: list[str] = Field(default_factory=list, max_length=_MOST_LINES)
+    subject: list[str] = Field(default_factory=list, max_length=_MAX_LINES)
+    background: list[str] = Field(default_factory=list, max_length=_MAX_LINES)
     sensor: list[str] = Field(default_factory=list, max_length=2)
     side_m: float | None = Field(None, gt=0, le=100, description="of a target of fixed fill, so that it has a GSD")
     wanted: float | None = Field(None, description="required value of the output, solved for along x")
@@ -253,7 +253,7 @@ def complete(trade: Trade, p: Setup) -> Trade:
     for key, value in trade.moved.items():
         _check(p, f"at:{key}", key, value, bool(state) and _is_emulated(p, state))
     lines = len(subject) * max(len(trade.background), 1) * max(len(trade.sensor), 1)
-    refuse(lines > _MOST_LINES, "trade.curves", "subject", lines=lines, most=_MOST_LINES)
+    refuse(lines > _MAX_LINES, "trade.curves", "subject", lines=lines, most=_MAX_LINES)
     return trade.model_copy(update=filled)
 
 
@@ -667,7 +667,7 @@ def _accuracy(p: Setup, trade: Trade) -> str:
     if terms.path_uncertainty is None:
         return ""
     part = 100.0 * terms.path_uncertainty / mean_radiance(terms, plan.GROUND, plan.GROUND)
-    part = part[terms.gas_transmittance > plan.LEAST_GAS]
+    part = part[terms.gas_transmittance > plan.MIN_GAS]
     return (
         f"Atmosphere: emulator of 6S, standard error {np.median(part):.2g} % of the radiance over ground of "
         f"{plan.GROUND:g} in the median band, {part.max():.2g} % in the worst."

@@ -25,11 +25,11 @@ from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load
 from hyperval.sensor.specification import library_names
 from hyperval.statistics_library import BUILTIN_NAMES
 from hyperval.study.schema import StudyFile
-from hyperval.web.refusal import MOST_MISTAKES, FieldMistake, Refused, deny, mistakes_of, redact
+from hyperval.web.refusal import MAX_MISTAKES, FieldMistake, Refused, deny, mistakes_of, redact
 
 Schema = Mapping[str, Any]
 Given = Mapping[str, list[str]]  # name of a field -> what stands in it
-MOST_ROWS = 40
+MAX_ROWS = 40
 # Names that may stand at a path; engines are those of which the server needs no file.
 _NAMED = {"sensor": library_names(), "processing.detectors": MODEL_DETECTORS, "atmosphere.engine": ("sixs", "emulator")}
 _LAYOUT = package_table("web/forms.yaml")
@@ -41,8 +41,8 @@ _SCHEMA = Scenario.model_json_schema(by_alias=True)
 # What hints call entries by in a file is called in a form by its title there.
 _ENTRIES = ChainMap(*(group.get("properties", {}) for group in _SCHEMA["$defs"].values()))
 _TITLES = {name: entry["title"] for name, entry in _ENTRIES.items() if re.search(r"[_\d]", name)}
-_MOST_MARKED = 5
-_MOST_OPEN = 3  # rows that stand unfolded
+_MAX_MARKED = 5
+_MAX_OPEN = 3  # rows that stand unfolded
 _CAPITAL = re.compile(r"(?<!^)(?=[A-Z])")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 
@@ -90,7 +90,7 @@ class Node:
     def summary(self) -> str:
         """The values given in a folded part, in a few words."""
         stated = [f"{n.title} {', '.join(n.value) if n.kind == 'several' else n.value}" for n in self._filled_nodes()]
-        return "; ".join(stated[:_MOST_MARKED]) + (" ..." if len(stated) > _MOST_MARKED else "")
+        return "; ".join(stated[:_MAX_MARKED]) + (" ..." if len(stated) > _MAX_MARKED else "")
 
     def _filled_nodes(self) -> Iterator[Node]:
         for child in self.active_children:
@@ -180,8 +180,8 @@ def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool = F
         return replace(node, kind="variants", children=tuple(variants), chosen=chosen, is_changed=chosen != earlier)
     if kinds == ["rows"]:
         rows, first = (list(one) if isinstance(one, list | tuple) else [] for one in (value, begun))
-        pairs = zip_longest(rows[:MOST_ROWS], first[: min(len(rows), MOST_ROWS)])
-        few, item = len(rows) <= _MOST_OPEN, members[0]["items"]
+        pairs = zip_longest(rows[:MAX_ROWS], first[: min(len(rows), MAX_ROWS)])
+        few, item = len(rows) <= _MAX_OPEN, members[0]["items"]
         children = tuple(_row(item, f"{path}.{i}", row, was, few) for i, (row, was) in enumerate(pairs))
         return replace(node, kind="rows", children=children, is_changed=len(rows) < len(first))
     kind = kinds[0] if len(kinds) == 1 else "yaml" if "yaml" in kinds else "text"
@@ -229,7 +229,7 @@ def _read(members: list[Schema], path: str, texts: Given) -> Any:
     is_list = f"{path}#" in texts
     if kinds == ["rows"]:
         item = _members(members[0]["items"])[0]
-        places = [f"{path}.{i}" for i in range(_row_count(texts, f"{path}#", MOST_ROWS))]
+        places = [f"{path}.{i}" for i in range(_row_count(texts, f"{path}#", MAX_ROWS))]
         rows = [form_data(texts, item, place) for place in places if f"{place}!" not in texts]
         return rows if is_list else None
     values = [v.strip() for v in texts.get(path, []) if v.strip()]
@@ -333,11 +333,11 @@ def needs(source: object) -> dict[str, str]:
 
 _FILES = {"files", "library", "table", "measured", "replicates"}
 _GREY = re.compile(r"grey-panel-\d\d")
-_MOST_TEXT = 200
-_MOST_DEPTH = 24
-_MOST_ITEMS = 5000  # of a list of numbers
-_MOST_ENTRIES = 100  # of a list of groups, which are checked one by one
-_MOST_VALUES = 20_000
+_MAX_TEXT = 200
+_MAX_DEPTH = 24
+_MAX_ITEMS = 5000  # of a list of numbers
+_MAX_ENTRIES = 100  # of a list of groups, which are checked one by one
+_MAX_VALUES = 20_000
 
 
 def dump(stated: Scenario | StudyFile) -> dict[str, Any]:
@@ -356,7 +356,7 @@ def checked_scenario(data: Mapping[str, Any], uploads: Collection[str] = ()) -> 
     try:
         scenario = Scenario.model_validate(data)
     except ValidationError as error:
-        raise Refused(422, [*mistakes_of(error.errors()), *mistakes][:MOST_MISTAKES]) from error
+        raise Refused(422, [*mistakes_of(error.errors()), *mistakes][:MAX_MISTAKES]) from error
     deny(mistakes or list(_cost_mistakes(scenario)), 422)
     return scenario
 
@@ -368,11 +368,11 @@ def check_size(data: Any, field: str = "") -> Any:
     ------
     Refused : it holds too much, at which field.
     """
-    values = enumerate(islice(_values(data, (field,) if field else ()), _MOST_VALUES), start=1)
-    many = f"with it there are more than {_MOST_VALUES:,} values"
-    excess = ((place, many if number == _MOST_VALUES else _excess(place, value)) for number, (place, value) in values)
+    values = enumerate(islice(_values(data, (field,) if field else ()), _MAX_VALUES), start=1)
+    many = f"with it there are more than {_MAX_VALUES:,} values"
+    excess = ((place, many if number == _MAX_VALUES else _excess(place, value)) for number, (place, value) in values)
     mistakes = (FieldMistake(".".join(place), words) for place, words in excess if words)
-    deny(list(islice(mistakes, MOST_MISTAKES)), 422)
+    deny(list(islice(mistakes, MAX_MISTAKES)), 422)
     return data
 
 
@@ -380,21 +380,21 @@ def _values(data: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, 
     """Path and value of everything in nested data, what holds others before these; nothing too deep."""
     yield path, data
     items = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list | tuple) else ()
-    for key, value in items if len(path) <= _MOST_DEPTH else ():
+    for key, value in items if len(path) <= _MAX_DEPTH else ():
         yield from _values(value, (*path, str(key)[:60]))
 
 
 def _excess(path: tuple[str, ...], value: Any) -> str:
     """What there is too much of in a value, in words; empty: nothing."""
     is_long = path[-1:] == ("description",)
-    if len(path) > _MOST_DEPTH:
+    if len(path) > _MAX_DEPTH:
         return "too deep"
     if isinstance(value, Mapping | list | tuple):
         is_rows = isinstance(value, Mapping) or (len(value) > 0 and isinstance(value[0], Mapping))
-        most = _MOST_ENTRIES if is_rows else _MOST_ITEMS
+        most = _MAX_ENTRIES if is_rows else _MAX_ITEMS
         return f"{len(value):,} entries; at most {most:,} are taken" if len(value) > most else ""
     if isinstance(value, str):
-        longest = 2000 if is_long else _MOST_TEXT
+        longest = 2000 if is_long else _MAX_TEXT
         unseen = "" if is_long or value.isprintable() else "holds a character that cannot be printed"
         return f"longer than {longest} characters" if len(value) > longest else unseen
     return "a number of too many digits" if isinstance(value, int) and abs(value) > 1 << 62 else ""

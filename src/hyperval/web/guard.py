@@ -34,7 +34,7 @@ _PORT = re.compile(r"(?<=[^:]):\d+$")
 
 _SAFE = ("GET", "HEAD", "OPTIONS")
 _YEAR_S = 365 * 24 * 3600
-_MOST_URL = 16_384
+_MAX_URL = 16_384
 _HEADERS = package_table("web/answers.yaml")["headers"]
 POLICY = _HEADERS["content-security-policy"]
 
@@ -96,8 +96,8 @@ class Guard:
         rules = [
             (len(headers.getlist("host")) == 1 and _PORT.sub("", host).lower() in self.settings.hosts,
              400, "host", "this server does not go by that name"),
-            (len(scope.get("raw_path") or b"") + len(scope.get("query_string") or b"") <= _MOST_URL,
-             414, "url", f"longer than {_MOST_URL:,} bytes"),
+            (len(scope.get("raw_path") or b"") + len(scope.get("query_string") or b"") <= _MAX_URL,
+             414, "url", f"longer than {_MAX_URL:,} bytes"),
         ]  # fmt: skip
         rules += [] if scope["method"] in _SAFE else [
             (is_number, 400, "content-length", "no number of bytes"),
@@ -120,8 +120,8 @@ class Guard:
 
 
 HEAD_S = 10.0  # from the first byte that is waited for to the end of the head
-BODY_S = 10.0  # a body may take so long, and a second more for each LEAST_BYTES of it
-LEAST_BYTES = 10_000
+BODY_S = 10.0  # a body may take so long, and a second more for each MIN_BYTES of it
+MIN_BYTES = 10_000
 _LOOK_S = 0.5
 _FILES = 256  # open at a time besides connections
 _HEAD, _BODY = "IDLE", "SEND_BODY"  # what h11 calls the states of a client that sends them
@@ -183,7 +183,7 @@ class _Connection(H11Protocol):
     def _check_deadline(self) -> None:
         """End the connection where a head or a body has not come in time; look again in a moment."""
         self._restart_clock()
-        seconds = {_HEAD: HEAD_S, _BODY: BODY_S + self._received / LEAST_BYTES}.get(self._awaited, math.inf)
+        seconds = {_HEAD: HEAD_S, _BODY: BODY_S + self._received / MIN_BYTES}.get(self._awaited, math.inf)
         if self.loop.time() - self._begun > seconds:
             self._close(408)
         else:

@@ -28,11 +28,11 @@ from hyperval.model import is_in_file
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.settings import with_settings
-from hyperval.study.plan import MOST_TRIED, plan_states, point_values, values_to_try
+from hyperval.study.plan import MAX_TRIED, plan_states, point_values, values_to_try
 from hyperval.study.schema import StudyFile
 from hyperval.study.trade import KINDS, Progress, Setup, Trade, complete, notebook, prepare, trade_study
 from hyperval.web.forms import (
-    MOST_ROWS,
+    MAX_ROWS,
     SCENES,
     Node,
     by_field,
@@ -155,7 +155,7 @@ def apply_action(fields: dict[str, list[str]]) -> dict[str, list[str]]:
     """The fields of a form, with a row more or less, as its button says."""
     verb, _, path = fields["action"][0].partition(":")
     count = fields.get(f"{path}#", [""])[0]
-    if verb == "add" and count.isdecimal() and len(count) < 4 and int(count) < MOST_ROWS:
+    if verb == "add" and count.isdecimal() and len(count) < 4 and int(count) < MAX_ROWS:
         return {**fields, f"{path}#": [str(int(count) + 1)]}
     return {**fields, f"{path}!": ["1"]} if verb == "remove" else fields
 
@@ -212,7 +212,7 @@ def predictions(request: Request, order: PredictionOrder, wait: Wait = 10.0) -> 
     return run(request, order_prediction(request, data).id, wait)
 
 
-_MOST_STATES = 40
+_MAX_STATES = 40
 _LISTS = ("subject", "background", "sensor")
 _NOTE = "# The emulator of 6S stands in for the engine; without its line each state is a run of 6S.\n"
 
@@ -372,8 +372,8 @@ def _check_size(study: StudyFile, scenario: Scenario, most: int) -> Iterator[Fie
     points = study.count * (1 + sum(q.scan + 40 for q in study.required) // 4)
     if points > most:
         yield FieldMistake("inputs", f"{points:,} evaluations; this server allows at most {most:,}")
-    if states > _MOST_STATES and study.settings.get("atmosphere.engine") != "emulator":
-        yield FieldMistake("inputs", f"{states} states of the atmosphere; this server allows at most {_MOST_STATES}")
+    if states > _MAX_STATES and study.settings.get("atmosphere.engine") != "emulator":
+        yield FieldMistake("inputs", f"{states} states of the atmosphere; this server allows at most {_MAX_STATES}")
 
 
 def _check_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) -> Iterator[FieldMistake]:
@@ -388,9 +388,9 @@ def _check_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...])
     asked = [(f"{kind}.{i}", one) for kind in ("inputs", "required") for i, one in enumerate(getattr(study, kind))]
     for where, item in asked:
         values = list({repr(value): value for value in values_to_try(item)}.values())
-        if len(values) > MOST_TRIED:
-            yield FieldMistake(f"{where}.values", f"{len(values)} that are no numbers; at most {MOST_TRIED} are taken")
-        for value in values[:MOST_TRIED]:
+        if len(values) > MAX_TRIED:
+            yield FieldMistake(f"{where}.values", f"{len(values)} that are no numbers; at most {MAX_TRIED} are taken")
+        for value in values[:MAX_TRIED]:
             point = {path: v for path, v in point_values(item, value).items() if v is not None and is_in_file(path)}
             named = {path: point[path] for path in sorted(point) if path.partition(".")[0] in Scenario.model_fields}
             tries.append((f"{where}.path", named))

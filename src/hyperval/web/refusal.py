@@ -14,7 +14,7 @@ from hyperval.config import mistakes_in
 from hyperval.errors import HypervalError
 
 _PATH = re.compile(r"(?<![\w./])(?:/|[A-Za-z]:\\)(?:[^\s:'\",;()<>]+)")
-MOST_MISTAKES = 40  # of one request
+MAX_MISTAKES = 40  # of one request
 
 
 @dataclass(frozen=True)
@@ -88,4 +88,4 @@ def error_text(error: HypervalError) -> str:
 def mistakes_of(items: Sequence[Any]) -> list[FieldMistake]:
     """Mistakes that pydantic finds, each once, with its field."""
     found = (FieldMistake(".".join(map(str, place))[:200], redact(said)[:500]) for place, said in mistakes_in(items))
-    return list(dict.fromkeys(found))[:MOST_MISTAKES]
+    return list(dict.fromkeys(found))[:MAX_MISTAKES]

@@ -88,7 +88,7 @@ class ServerSettings:
 ENDED = ("finished", "failed", "cancelled", "lost")
 _ID = re.compile(r"[A-Za-z0-9_-]{16}")
 EVERYBODY = ""  # the owner of what commands wrote
-MOST_LISTED = 40
+MAX_LISTED = 40
 _COMMANDS = ("hyperval", "__main__.py")  # by which this program is started
 _STUDY_COLUMNS = ("subject", "method", "metric", "value", "unit", "reason")
 _DRAWING = installed_file("hyperval.figures", "charts.js"), installed_file("hyperval.web", "static", "map.js")
@@ -161,8 +161,8 @@ def summary_of(kind: str, results: Path) -> dict[str, Any]:
     """What a list and a page say of a folder of results: the numbers of a study, the verdict of anything else."""
     rows = list(Run.open(results).table)
     if kind == "study":
-        listed = [{name: getattr(row, name) for name in _STUDY_COLUMNS} for row in rows[:MOST_LISTED]]
-        return {"rows": listed, "left_out": max(0, len(rows) - MOST_LISTED)}
+        listed = [{name: getattr(row, name) for name in _STUDY_COLUMNS} for row in rows[:MAX_LISTED]]
+        return {"rows": listed, "left_out": max(0, len(rows) - MAX_LISTED)}
     counts = Counter(str(row.outcome) for row in rows if row.planned)
     screen = first_screen(rows)
     texts = (f"{screen.head}. {screen.lead}", screen.words) if counts else ("One side alone: nothing is compared.",) * 2

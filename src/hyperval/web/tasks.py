@@ -41,7 +41,7 @@ from hyperval.simulate import simulate
 from hyperval.storage import write_text
 from hyperval.study import live_figure, next_piece, study_to_folder
 from hyperval.web.refusal import redact
-from hyperval.web.store import COLLECTION, MOST_LISTED, summary_of, view_name
+from hyperval.web.store import COLLECTION, MAX_LISTED, summary_of, view_name
 
 
 def charts_of(*sides: PredictedProducts) -> list[dict[str, Any]]:
@@ -61,7 +61,7 @@ def chart_data(figure: Figure) -> dict[str, Any]:
     }  # fmt: skip
 
 
-_MOST_PIXELS = 1_000_000
+_MAX_PIXELS = 1_000_000
 
 
 def warm() -> None:
@@ -89,7 +89,7 @@ def predict(folder: str) -> dict[str, Any]:
     nm = prediction.axis.centre_nm
     return {
         "bands": int(nm.size), "range_nm": [float(nm[0]), float(nm[-1])], "detection": rows,
-        "snr": snr[:MOST_LISTED], "notes": list(prediction.notes),
+        "snr": snr[:MAX_LISTED], "notes": list(prediction.notes),
     }  # fmt: skip
 
 
@@ -181,7 +181,7 @@ def score_map(folder: str, name: str) -> None:
     """Write a score map as pages draw it: at most a million pixels, 16 bits between its ends."""
     raster = open_raster(Path(folder) / "results" / "scores" / f"{name}.tif")
     values = raster.read_some_bands(0, raster.lines, [0])[0]
-    step = int(np.ceil(np.sqrt(values.size / _MOST_PIXELS)))
+    step = int(np.ceil(np.sqrt(values.size / _MAX_PIXELS)))
     shown = values[::step, ::step]
     finite = np.isfinite(values)
     low, high = (float(v) for v in np.quantile(values[finite], [0.0, 1.0])) if finite.any() else (0.0, 1.0)

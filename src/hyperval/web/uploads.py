@@ -32,12 +32,12 @@ from hyperval.web.refusal import FieldMistake, Refused, deny, form_mistakes, mis
 from hyperval.web.runs import RunAnswer, answer_of
 from hyperval.web.store import WebRun
 
-_MOST_KEPT = 50
+_MAX_KEPT = 50
 _FIELDS = package_table("web/uploads.yaml")
 _OF_SCENARIOS = ("spectra", "sensors")  # which stay when their collection has been taken
 PARTS = [field for field in _FIELDS if field != "sensors"]  # of a collection
 _PACKED = {b"PK\x03\x04": "a zip archive", b"\x1f\x8b": "packed by gzip", b"<?xml": "XML", b"BZh": "packed by bzip2"}
-_LARGEST_TEXT = 4_000_000
+_MAX_TEXT = 4_000_000
 _INSIDE = re.compile(r"(?:\w[\w .@+()-]{0,100}/){0,12}\w[\w .@+()-]{0,100}")
 _NAME = re.compile(r"[^\W_][\w .@+()-]{0,79}")
 _NAME_WORDS = "letters, digits, blanks and . _ - + @ ( ), at most 80 characters, a letter or digit first"
@@ -94,7 +94,7 @@ class Uploads:
             with part.open("wb") as out:
                 shutil.copyfileobj(file.file, out)
             self._check(field, name, part)
-            deny(len({*self.names(field), name}) > _MOST_KEPT, 422, f"a session keeps at most {_MOST_KEPT}", field)
+            deny(len({*self.names(field), name}) > _MAX_KEPT, 422, f"a session keeps at most {_MAX_KEPT}", field)
             for other in self.names(field) if field in ("cube", "header") else ():
                 (place / other).unlink()
         return place / name
@@ -104,7 +104,7 @@ class Uploads:
         with path.open("rb") as file:
             head = file.read(8)
         packed = next((kind for sign, kind in _PACKED.items() if head.startswith(sign)), None)
-        largest = self._state.settings.samples * 8 if field == "cube" else _LARGEST_TEXT
+        largest = self._state.settings.samples * 8 if field == "cube" else _MAX_TEXT
         endings, is_large = _FIELDS[field]["endings"], path.stat().st_size > largest
         words = f"{name}: ends with none of {', '.join(filter(None, endings))}"
         deny(Path(name).suffix.lower() not in endings, 422, words, field)
