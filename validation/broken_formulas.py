@@ -30,7 +30,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "hyperval"
 # Rooms of the model.  Simulated truth is written apart from it; its evidence is tests/simulate and the closure.
-ROOMS = ("atmosphere", "sensor", "block_sizes", "model", "observe", "study")
+ROOMS = ("atmosphere", "sensor", "pixels", "model", "observe", "study")
 EQUATION = re.compile(r"#.*\((3\.(?:[7-9]|[12]\d|3[0-3]))\)")
 
 
