@@ -147,6 +147,8 @@ def _steps(rows: Sequence[Result], shown: Sequence[Result], reason: str) -> list
     ['Check the time of overflight: correct it, or accept the new numbers, with its reason.']
     >>> _steps([failed], [failed], "")
     ['Look at what is not met by subject and band, below; attribution: {} in the campaign tries causes.']
+    >>> _steps([failed], [failed], "Nothing to explain: reduced chi-square 1.05 of 90 residuals (p = 0.35).")
+    ['Look at what is not met by subject and band, below; what the attribution sees agrees.']
     >>> broken = Result("twin", "radiance", "lawn", "", "bias_ratio", role=Role.GATE, outcome=Outcome.ERROR)
     >>> _steps([broken], [broken], "")
     ['Mend what ended in an error: its message stands under Not compared.']
@@ -160,8 +162,8 @@ def _steps(rows: Sequence[Result], shown: Sequence[Result], reason: str) -> list
     elif reason.startswith("None"):
         steps.append("Look beyond the causes that were tried.")
     elif any(row.outcome is Outcome.DISAGREES for row in criteria):
-        looked = "" if reason else "; attribution: {} in the campaign tries causes"
-        steps.append(f"Look at what is not met by subject and band, below{looked}.")
+        why = {"": "; attribution: {} in the campaign tries causes", "Nothing": "; what the attribution sees agrees"}
+        steps.append(f"Look at what is not met by subject and band, below{why.get(reason.partition(' ')[0], '')}.")
     unsure = [
         row for row in criteria if row.outcome is Outcome.UNDECIDED
         and all(map(math.isfinite, (row.effect_lower, row.effect_upper, row.accepted_low, row.accepted_high)))
