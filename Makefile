@@ -68,8 +68,9 @@ test-slow: $(READY_DEV)  ## run the others: twins, grids of the atmosphere engin
 test-all: $(READY_DEV)  ## both in one run, which sets up once what both need
 	$(PYTEST) $(TEST_FLAGS)
 
+# One by one: a single file takes longer than all the others.
 test-data: $(READY_DEV)  ## run the tests of real collections (HYPERVAL_DATA), slow ones too
-	$(PYTEST) -m data $(TEST_FLAGS)
+	$(PYTEST) --dist worksteal -m data $(TEST_FLAGS)
 
 coverage: $(READY_DEV)  ## how often the 95 % intervals hold, over simulated collections (15 minutes; goes on where it ended)
 	$(BIN)/python validation/coverage/study.py --output reports/coverage

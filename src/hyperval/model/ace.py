@@ -22,6 +22,7 @@ from hyperval.errors import refuse
 from hyperval.model.filters import PositiveDefinite
 
 # Scores at which probabilities are evaluated: even in atanh of the cosine, which spreads both ends.
+_BLOCK = 20_000  # draws times scores at once: what a cache holds
 _SCORES = np.tanh(np.linspace(1e-3, 4.0, 240)) ** 2
 
 
@@ -122,12 +123,11 @@ def ace_exceedance(
     cross, square = np.einsum("pn,np->n", coefficients, y0 @ images.T), (y0**2).sum(axis=1)
     step = np.einsum("pn,pq,qn->n", coefficients, images @ images.T, coefficients)
     probability, error = np.empty((2, eta.size))
-    for k, e in enumerate(eta):
-        a = length**2 - e * step
-        b = 2.0 * (u0 * length - e * cross)
-        c = u0**2 - e * square
+    for k in np.array_split(np.arange(eta.size), max(eta.size * draws // _BLOCK, 1)):
+        e = eta[k, None]
+        a, b, c = length**2 - e * step, 2.0 * (u0 * length - e * cross), u0**2 - e * square
         p = weight * _probability_positive(a, b, c)
-        probability[k], error[k] = p.mean(), p.std() / np.sqrt(draws)
+        probability[k], error[k] = p.mean(axis=1), p.std(axis=1) / np.sqrt(draws)
     return Exceedance(eta, probability, error)
 
 
@@ -164,17 +164,16 @@ def _importance_weights(z: Array, decades: Sequence[float]) -> Array:
 
 def _probability_positive(a: Array, b: Array, c: Array) -> Array:
     """P(a xi^2 + b xi + c > 0) for standard normal xi."""
-    opens_upwards = a >= 0
     discriminant = b**2 - 4.0 * a * c
-    root = np.sqrt(np.maximum(discriminant, 0.0))
+    probability, real = np.where(a >= 0, 1.0, 0.0), discriminant > 0
+    a, b, c, root = a[real], b[real], c[real], np.sqrt(discriminant[real])
+    outside = a >= 0  # of the roots, else between them
     # The stable pair of roots: q / a and c / q.
     q = -0.5 * (b + np.where(b >= 0, root, -root))
     a, q = np.where(np.abs(a) < 1e-300, 1e-300, a), np.where(np.abs(q) < 1e-300, 1e-300, q)
     low, high = np.minimum(q / a, c / q), np.maximum(q / a, c / q)
-    tails = np.where(discriminant <= 0, 1.0, ndtr(low) + ndtr(-high)) if opens_upwards.any() else np.zeros(a.shape)
-    if opens_upwards.all():
-        return tails
     # Between two roots on one side of zero, the difference is taken where it keeps its digits.
     flip = low > 0
-    interior = ndtr(np.where(flip, -low, high)) - ndtr(np.where(flip, -high, low))
-    return np.where(opens_upwards, tails, np.where(discriminant <= 0, 0.0, interior))
+    upper = ndtr(np.where(outside, low, np.where(flip, -low, high)))
+    probability[real] = upper + np.where(outside, 1.0, -1.0) * ndtr(np.where(outside | flip, -high, low))
+    return probability
