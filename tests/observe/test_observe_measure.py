@@ -97,11 +97,12 @@ def test_snr_of_a_region_is_that_of_its_pixels(panels):
     values[34:36], good = 90.0, np.arange(BANDS) != 3
     values[..., ~good] = np.random.default_rng(4).uniform(1.0, 60.0, (LINES, SAMPLES, 1))  # what a bad band may hold
     panels.write(values, axis=replace(AXIS, good=good))
-    regions = panels.collection["regions"]
-    regions += [{"name": name, "rectangle": [34, 0, n, SAMPLES]} for name, n in (("flat", 16), ("roof", 2))]
+    panels.regions(*panels.collection["regions"], flat=[34, 0, 16, SAMPLES], roof=[34, 0, 2, SAMPLES])
     panels.collection |= {"snr_regions": ["flat"], "leave_out": ["roof"]}
     seen = panels.observe()
     (found,), error = seen.observation.snr.values(), np.diag(seen.sampling["flat"].covariance)  # of its mean
+    flat = np.diag(seen.place.statistics["flat"].covariance)
+    assert error[3] / flat[3] == pytest.approx(error[good].sum() / flat[good].sum(), rel=1e-9)
     assert ((found.budget["mean"] * 30.0 / found.mean) ** 2)[good] == pytest.approx(error[good], rel=1e-2)
     assert found.mean[good] == pytest.approx(snr_decorrelated(values[36:50][..., good].reshape(-1, BANDS - 1)).mean)
 
@@ -190,8 +191,7 @@ def mixed(*mixtures: int | str, region: str = "all") -> Scenario:
 
 
 def test_what_a_scenario_asks_for_is_fitted_once_or_refused_by_name(clusters):
-    sides = {"corner": 3, "shade": 20, "wall": 20}
-    clusters.collection["regions"] += [{"name": n, "rectangle": [0, 0, side, side]} for n, side in sides.items()]
+    clusters.regions(*clusters.collection["regions"], corner=[0, 0, 3, 3], shade=[0, 0, 20, 20], wall=[0, 0, 20, 20])
     clusters.collection["leave_out"] = ["wall"]  # corner and shade have no pixel that counts, and are taken as drawn
     laws = RegionLaws(clusters.observe())
     first = laws.statistics(mixed(2))["all"].components

@@ -787,7 +787,7 @@ def _chi_square_figure(kind: str, rows: Sequence[Result], names: list[str]) -> F
     scattered = bool(both) and max(both) > 20.0 * min(both)
     x = Axis("reduced chi-square", "log" if scattered else "linear")
     words = "; ".join(f"{one} from {b:.3g} to {r.value:.3g}" for one, r, b in zip(names, rows, before, strict=True))
-    return row_figure(kind, x, Axis.named(names, _LONGEST), marks, words, rules=(1.0,), method=rows[0].method)
+    return row_figure(kind, x, Axis.named(names, 64), marks, words, rules=(1.0,), method=rows[0].method)
 
 
 def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[str, str] = SIDES) -> list[Figure]:
