@@ -415,7 +415,7 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
     structured, common, dof = px.factor_covariance(sample, n) if n <= valid.size else (sample, sample, float(n - 1))
 
     def full(part: Array) -> Array:
-        expanded = covariance * (np.trace(part) / np.trace(sample))  # bad bands hang together on the ground alike
+        expanded: Array = covariance * (np.trace(part) / np.trace(sample))  # bad bands too are correlated on the ground
         expanded[np.ix_(valid, valid)] = part
         return expanded
 
