@@ -256,7 +256,8 @@ def _modes(surface: dict[str, Any], mean: Array, w: Array) -> Iterator[Array]:
 def builtin_class(name: str, axis: SpectralAxis) -> ClassStatistics:
     """Reflectance statistics of a built-in surface on ``axis`` (rho_m and Sigma_m of 3.8-3.12).
 
-    ``grey-panel-NN`` is a panel of NN per cent.
+    ``grey-panel-NN`` is a panel of NN per cent.  The curve is taken at the bands' centres; its average over a Gaussian
+    band of 10 nm differs by at most 2.2 % (grass at 680 nm, yellow paint at 490 nm), of 5 nm by a quarter of that.
 
     Raises
     ------
