@@ -302,7 +302,7 @@ def test_results_that_cannot_be_placed_are_kept_and_named(tmp_path, monkeypatch)
     run(path, old_csv="1")
 
     monkeypatch.setattr(os, "rename", lambda source, target: (_ for _ in ()).throw(OSError(errno.EBUSY, "busy")))
-    with pytest.raises(storage.Unplaced, match=r"put here: busy(?s:.*)they are complete in (.*): copy") as told:
+    with pytest.raises(storage.UnplacedResults, match=r"put here: busy(?s:.*)they are complete in (.*): copy") as told:
         run(path, new_csv="2")
     monkeypatch.undo()
     (safe,) = path.glob(".hyperval-new-*")
@@ -316,7 +316,7 @@ def test_a_change_that_failed_is_finished_by_the_next_run(tmp_path, monkeypatch)
     path = tmp_path / "report"
     run(path, old_csv="1")
     monkeypatch.setattr(os, "replace", lambda source, target: (_ for _ in ()).throw(OSError(errno.ENOSPC, "full")))
-    with pytest.raises(storage.Unplaced, match=r"put here: full(?s:.*)the next run into this folder finishes"):
+    with pytest.raises(storage.UnplacedResults, match=r"put here: full(?s:.*)the next run into this folder finishes"):
         run(path, new_csv="2")
     monkeypatch.undo()
     assert "results.json" not in files(path)

@@ -54,7 +54,7 @@ def _describe_fields(schema: dict[str, Any], model: type[BaseModel]) -> None:
 
 # Words, of one entry after its key and a colon -> whether the entries of a model contradict each other so; a list holds
 # what stands in the words where they do.
-Refused = Mapping[str, Callable[[Any], object]]
+Refusal = Mapping[str, Callable[[Any], object]]
 
 
 def twice(names: Iterable[Any]) -> list[Any]:
@@ -72,7 +72,7 @@ class Model(BaseModel):
     """Base of every configuration model: unknown keys, NaN and infinity are refused, and what contradicts itself."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=_describe_fields)
-    refused: ClassVar[Refused] = {}
+    refused: ClassVar[Refusal] = {}
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Self:

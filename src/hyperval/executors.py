@@ -63,7 +63,7 @@ class Cancelled(TaskFailed):
     """A task that was called off."""
 
 
-class Lost(TaskFailed):
+class TaskLost(TaskFailed):
     """A task whose process died."""
 
 
@@ -154,7 +154,7 @@ class TaskPool:
                 worker = worker if worker.is_alive() else self._start()
                 try:
                     return self._result(task, worker)
-                except Lost:
+                except TaskLost:
                     worker.end()
                     if not renewals or self._is_closed:
                         raise
@@ -208,14 +208,14 @@ class Process:
         try:
             self._connection.send((task.task, task.arguments))
         except OSError:
-            raise Lost("its process was ended") from None
+            raise TaskLost("its process was ended") from None
 
     def news(self) -> tuple[str, Any]:
         """What the process says in a moment."""
         try:
             return self._connection.recv() if self._connection.poll(_TICK_S) else NOTHING
         except (EOFError, OSError):
-            raise Lost("its process was killed, probably for lack of memory") from None
+            raise TaskLost("its process was killed, probably for lack of memory") from None
 
     def end(self) -> None:
         """End the process, whose task unwinds first, and whatever it started."""
@@ -303,7 +303,7 @@ class Workers:
 
     executor: Executor | TaskPool | None = None
     width: int = 1
-    losses: tuple[type[Exception], ...] = (Lost,)
+    losses: tuple[type[Exception], ...] = (TaskLost,)
 
     def submit(self, function: Callable[[T], R], piece: T) -> Future[R]:
         """Hand a piece in, which has one BLAS thread."""

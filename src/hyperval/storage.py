@@ -230,7 +230,7 @@ RESULTS, COLLECTION, POWER = "results", "a simulated collection", "power tables"
 MARKERS = {RESULTS: "results.json", COLLECTION: "truth.json", POWER: "power.csv"}
 
 
-class Unplaced(HypervalError):
+class UnplacedResults(HypervalError):
     """Results that are complete and could not be put where they belong; the message names where they are."""
 
 
@@ -272,7 +272,7 @@ def whole_folder(path: Path, kind: str = RESULTS, *, beside: Iterable[Path | Non
             if new.exists():
                 mend = f"they are complete in {new}: copy them from there before the next run"
             what = f"the results could not be put here: {error.strerror or error}"
-            raise Unplaced(what, where=str(place), mend=mend) from error
+            raise UnplacedResults(what, where=str(place), mend=mend) from error
 
 
 def partial_folder(path: Path) -> Path:

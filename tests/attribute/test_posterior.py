@@ -91,13 +91,13 @@ def test_evidence_is_the_likelihood_averaged_over_the_prior():
 def test_worlds_that_hold_nothing_are_rarely_blamed_and_what_is_large_is_named():
     """Rates of drawn worlds: of nothing 5 % are blamed at most, of causes from half to five times the least seen."""
     rng = np.random.default_rng(11)
-    reasoner = attribute.Reasoner({c: g / 0.1 for c, g in COLUMNS.items()}, WIDE / 0.1)
-    blamed = [reasoner.posterior("", rng.normal(size=N)).first_cause != attribute.NOTHING for _ in range(200)]
+    prior = attribute.CausePrior({c: g / 0.1 for c, g in COLUMNS.items()}, WIDE / 0.1)
+    blamed = [prior.posterior("", rng.normal(size=N)).first_cause != attribute.NOTHING for _ in range(200)]
     assert np.mean(blamed) < 0.05
-    drawn = [(kind, found.first_cause) for kind, found in reasoner.simulate(rng, 60)]
+    drawn = [(kind, found.first_cause) for kind, found in prior.simulate(rng, 60)]
     assert np.mean([kind == first for kind, first in drawn if first != attribute.NOTHING]) > 0.8
     assert np.mean([first == kind for kind, first in drawn if kind == attribute.NOTHING]) > 0.9
-    faint = attribute.Reasoner({TILT: 0.05 * COLUMNS[TILT]}, WIDE)  # within its bounds it cannot be seen
+    faint = attribute.CausePrior({TILT: 0.05 * COLUMNS[TILT]}, WIDE)  # within its bounds it cannot be seen
     assert {kind for kind, _ in faint.simulate(rng, 3)} == {attribute.NONE, attribute.NOTHING}
 
 

@@ -230,7 +230,7 @@ def predicted(fill, *, uncertainty=0.0, spread=SPREAD, method="fcls", covariance
     words, error = ("paint 1 m", "paint 1 m", "paint"), (uncertainty, 300.0, "")
     subject = model.UnmixedSubject(*words, np.full(B, 0.3), *error, objects, 1.0, ring)
     noise = {name: model.PositiveDefinite(c) for name, c in (covariances or {}).items()} or {"fcls": None}
-    unmixed = model.Unmixed({}, (subject,), np.ones(B, bool), noise, 4.0)
+    unmixed = model.UnmixedAreas({}, (subject,), np.ones(B, bool), noise, 4.0)
     found = model.predicted_areas(one_target(fill), model.Origins(TEN), truth or {}, prediction, unmixed, draws)
     return found["paint 1 m", method]
 

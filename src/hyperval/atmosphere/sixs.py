@@ -585,7 +585,7 @@ _EMULATED_DEPTHS = 0.015, 0.9  # thinner or thicker haze is that at the end, sca
 _RHO = 0.3  # ground over which the error of the transmittances is stated
 
 
-class Air(NamedTuple):
+class ScatteringState(NamedTuple):
     """What scattering follows: the sun, and molecules and haze below and above the sensor.
 
     Attributes
@@ -621,19 +621,19 @@ class Air(NamedTuple):
         return np.stack(columns, axis=1)
 
 
-def air_of(state: AtmosphericState) -> Air:
+def air_of(state: AtmosphericState) -> ScatteringState:
     """The same of a state, in the air of the US standard 1962 in which 6S scatters."""
     setting, us62 = setting_of(state), standard_profile("us-standard-1962")
     *_, ground, height = in_standard_air(state, setting)
     air, above = us62.air_column(ground), 0.0 if height is None else us62.air_column(ground + height)
     used, share, total, part = trusted_stand_ins(state, height, _EMULATED_DEPTHS)
     scale = 2.0 if height is None else min(-height / np.log1p(-min(share[0], 1.0 - 1e-9)), 4.0)
-    return Air(
+    return ScatteringState(
         setting.cosines[0], air / us62.air_column(0.0), 1.0 - above / air, ground, used, share, scale, total, part
     )
 
 
-def single_scattering(air: Air, molecules: Array) -> Arrays:
+def single_scattering(air: ScatteringState, molecules: Array) -> Arrays:
     """Forms (nodes,) by which the quantities are divided, seen from above.
 
     Parameters

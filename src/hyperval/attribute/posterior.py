@@ -182,7 +182,7 @@ class Directions:
         return np.asarray(far * made)
 
 
-class Family:
+class SizeResponse:
     """Sizes at which the model was asked, and what lies between (cubic; straight beyond the last).
 
     ``columns`` : (n, m) change of the whitened prediction at each of the candidate's sizes
@@ -269,12 +269,12 @@ class Alternatives:
         return np.asarray(self.columns[:, rng.integers(self.columns.shape[1])])
 
 
-Effect = Directions | Family | Alternatives
+Effect = Directions | SizeResponse | Alternatives
 
 
 def build_effect(candidate: Candidate, columns: Array) -> Effect:
     """The effect of a candidate on whitened residuals (n, k), by its kind."""
-    kind: type[Effect] = Alternatives if candidate.labels else Family if candidate.sizes else Directions
+    kind: type[Effect] = Alternatives if candidate.labels else SizeResponse if candidate.sizes else Directions
     return kind(candidate, columns)
 
 
@@ -371,7 +371,7 @@ class Posterior:
         >>> def said(r, *names):
         ...     causes = [Candidate(name, "sensor", "1 %", False) for name in names]
         ...     columns = {c: np.eye(8)[:, i : i + 1] for i, c in enumerate(causes)}
-        ...     found = Reasoner(columns, 0.1 * np.eye(8)[:, 4:]).posterior("all", np.pad(r, (0, 8 - len(r))))
+        ...     found = CausePrior(columns, 0.1 * np.eye(8)[:, 4:]).posterior("all", np.pad(r, (0, 8 - len(r))))
         ...     return len(found.best.causes), found.is_sufficient
         >>> said([30.0], "gain"), said([30.0], "single bands")
         ((1, True), (1, False))
@@ -472,7 +472,7 @@ class Posterior:
         return f"{words}; {'together ' if more else ''}{sure}"
 
 
-class Reasoner:
+class CausePrior:
     """What is known of candidates and of chance before residuals are seen; worlds may be drawn from it.
 
     Parameters
@@ -486,34 +486,34 @@ class Reasoner:
     Examples
     --------
     >>> water, gain = (Candidate(name, "input", "0.1", True) for name in ("water", "gain"))
-    >>> reasoner = Reasoner({water: np.eye(3)[:, :1], gain: np.ones((3, 1))}, np.eye(3))
-    >>> reasoner.posterior("all", np.array([9.0, 0.3, -0.2])).first_cause
+    >>> prior = CausePrior({water: np.eye(3)[:, :1], gain: np.ones((3, 1))}, np.eye(3))
+    >>> prior.posterior("all", np.array([9.0, 0.3, -0.2])).first_cause
     'water'
     >>> wide, change = np.eye(8), np.array([9.0, 4.0, -3.0, 0, 0, 0, 0, 0])
     >>> two = {water: wide[:, :1], gain: np.ones((8, 1))}
-    >>> [Reasoner(two, wide, noisy=noisy).posterior("all", change).first_cause for noisy in (True, False)]
+    >>> [CausePrior(two, wide, noisy=noisy).posterior("all", change).first_cause for noisy in (True, False)]
     ['water', 'none of these']
 
     What would have to go beyond its bounds is no reason, alone or after another.
 
     >>> one, smooth = np.eye(40), Candidate("smooth gain", "sensor", "3 %", False, knots_nm=(400.0,))
     >>> offset = Candidate("offset", "sensor", "1 %", False)
-    >>> reasoner = Reasoner({offset: one[:, :1], smooth: one[:, 1:2]}, one[:, 4:])
+    >>> prior = CausePrior({offset: one[:, :1], smooth: one[:, 1:2]}, one[:, 4:])
     >>> changes = 10.0 * one[1], 30.0 * one[1], 30.0 * (one[0] + one[1])
-    >>> [[cause.name for cause in reasoner.posterior("all", change).best.causes] for change in changes]
+    >>> [[cause.name for cause in prior.posterior("all", change).best.causes] for change in changes]
     [['smooth gain'], ['none of these'], ['offset', 'none of these']]
 
     Of a change, bands that are off by themselves are few; many are a pattern that no candidate has.
 
     >>> bands = Candidate("single bands", "sensor", "1 % in each band", False)
-    >>> reasoner = Reasoner({bands: one}, one, noisy=False)
-    >>> [reasoner.posterior("all", change).first_cause for change in (30.0 * one[1], np.full(40, 30.0))]
+    >>> prior = CausePrior({bands: one}, one, noisy=False)
+    >>> [prior.posterior("all", change).first_cause for change in (30.0 * one[1], np.full(40, 30.0))]
     ['single bands', 'none of these']
 
     The cause that makes most of it is named first.
 
     >>> tilt = Candidate("tilt", "sensor", "1 %", False)
-    >>> two = Reasoner({offset: one[:, :1], tilt: one[:, 1:2]}, one[:, 4:], noisy=False)
+    >>> two = CausePrior({offset: one[:, :1], tilt: one[:, 1:2]}, one[:, 4:], noisy=False)
     >>> found = two.posterior("all", 20.0 * one[0] + 99.0 * one[1]).hypotheses
     >>> sorted({tuple(f.name for f in h.causes) for h in found if len(h.causes) == 2})
     [('tilt', 'none of these'), ('tilt', 'offset')]
@@ -521,13 +521,13 @@ class Reasoner:
     And it alone where it suffices.
 
     >>> beside = {offset: one[:, :1] + 0.4 * one[:, 1:2], tilt: one[:, :1]}
-    >>> tilted = Reasoner(beside, one[:, 4:], noisy=False).posterior("all", 99.0 * one[0] + 6.0 * one[1])
+    >>> tilted = CausePrior(beside, one[:, 4:], noisy=False).posterior("all", 99.0 * one[0] + 6.0 * one[1])
     >>> [cause.name for cause in tilted.best.causes]
     ['tilt']
 
     Nor is a cause named that makes less than half of a change.
 
-    >>> half = {noisy: Reasoner({offset: one[:, :1]}, one[:, 4:], noisy=noisy) for noisy in (True, False)}
+    >>> half = {noisy: CausePrior({offset: one[:, :1]}, one[:, 4:], noisy=noisy) for noisy in (True, False)}
     >>> [half[noisy].posterior("all", 1.2 + 5.8 * one[0]).first_cause for noisy in half]
     ['offset', 'none of these']
     """
@@ -633,8 +633,8 @@ class Reasoner:
         What could make anything, or no candidate describes, comes last:
 
         >>> tilt, bands = (Candidate(name, "sensor", "1 %", False) for name in ("tilt", "single bands"))
-        >>> reasoner = Reasoner({bands: np.eye(40), tilt: np.ones((40, 1))}, np.eye(40)[:, 4:], noisy=False)
-        >>> [f.name for f in reasoner.posterior("all", 30.0 + 40.0 * np.eye(40)[3]).best.causes]
+        >>> prior = CausePrior({bands: np.eye(40), tilt: np.ones((40, 1))}, np.eye(40)[:, 4:], noisy=False)
+        >>> [f.name for f in prior.posterior("all", 30.0 + 40.0 * np.eye(40)[3]).best.causes]
         ['tilt', 'single bands']
         """
         rank = [f.candidate.kind not in SHARED if self.noisy else alone.get(f.name, np.inf) for f in h.causes]
@@ -659,7 +659,7 @@ class Reasoner:
         >>> a, b, c = (Candidate(name, "input", "1 %", False, sizes=(-20.0, 25.0)) for name in "abc")
         >>> columns = {one: np.outer(effect, one.sizes) for one, effect in ((a, np.ones(9)), (b, np.ones(9)))}
         >>> columns[c] = np.outer(np.arange(9.0), c.sizes)
-        >>> found = Reasoner(columns, np.eye(9)).posterior("all", 3.0 + np.cos(np.arange(9.0)))
+        >>> found = CausePrior(columns, np.eye(9)).posterior("all", 3.0 + np.cos(np.arange(9.0)))
         >>> found.first_cause, found.confounded
         ('a', ('b',))
 
@@ -668,7 +668,7 @@ class Reasoner:
         >>> wave = Candidate("wave", "input", "1 %", False)
         >>> nearly = {a: columns[a], wave: np.column_stack([np.ones(9), np.cos(np.arange(9.0))])}
         >>> change = 20.0 + 0.6 * np.cos(2.0 * np.arange(9.0))
-        >>> [Reasoner(nearly, np.eye(9), noisy=noisy).posterior("all", change).confounded for noisy in (True, False)]
+        >>> [CausePrior(nearly, np.eye(9), noisy=noisy).posterior("all", change).confounded for noisy in (True, False)]
         [(), ('wave',)]
         """
         first = max(probability, key=lambda name: probability[name])
@@ -717,16 +717,16 @@ class Residuals(NamedTuple):
         moved = {c: g[entries] for c, g in self.columns.items() if _is_moved(g[entries], g)}
         return Residuals(self.values[entries], self.covariance[np.ix_(entries, entries)], moved, self.wide[entries])
 
-    def whitened(self, noisy: bool = True) -> tuple[Reasoner, Array]:
+    def whitened(self, noisy: bool = True) -> tuple[CausePrior, Array]:
         """What is known of their causes, and themselves, in units of their uncertainty."""
         data = Whitened(self.values, self.covariance)
         columns = {c: data.whiten(g) for c, g in self.columns.items()}
-        return Reasoner(columns, data.whiten(self.wide), noisy=noisy), data.residual
+        return CausePrior(columns, data.whiten(self.wide), noisy=noisy), data.residual
 
     def posterior(self, group: str, noisy: bool = True) -> Posterior:
         """Posterior of their causes."""
-        reasoner, residual = self.whitened(noisy)
-        return reasoner.posterior(group, residual)
+        prior, residual = self.whitened(noisy)
+        return prior.posterior(group, residual)
 
     def posteriors(self, stack: Stack, each: Sequence[str]) -> list[Posterior]:
         """Of all residuals, of what spectra share or differ in, and of the subjects of ``each``.

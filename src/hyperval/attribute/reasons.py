@@ -62,7 +62,7 @@ _EVERYTHING, SINCE = "every input", "since the accepted run"
 UNCHANGED = "spectra, SNR, scores, and false alarms at 1e-2 and 1e-3 have not changed beyond their uncertainty"
 
 Truths = Sequence[Truth]  # what is moved in each scenario
-# Sides of an accepted run by quantity (:meth:`Causes.sides`), and its reduced chi-square of all residuals, 0: not known
+# Sides of an accepted run by quantity (:meth:`CauseEffects.sides`), and its reduced chi-square of all; 0: not known
 Accepted = tuple[Mapping[str, Sequence[str]], float]
 Classes = Mapping[str, Mapping[str, Array]]  # (B,) mean of each by product
 Columns = Mapping[Candidate, Array]  # (n, k) what each candidate does to residuals
@@ -107,7 +107,7 @@ class ScenarioModel:
 
 
 @dataclass(frozen=True, eq=False)
-class Causes:
+class CauseEffects:
     """What was asked of the model before residuals are looked at.
 
     Attributes
@@ -146,7 +146,7 @@ class Causes:
         >>> def causes(residual):
         ...     columns, further = {gain: one[:, :1]}, [lambda: {height: one[:, 1:2]}]
         ...     residuals = Residuals(residual, one, columns, 0.1 * one[:, 4:])
-        ...     return Causes(stack, np.zeros(20), {}, dict, dict, further, residuals, {}, len, None, dict)
+        ...     return CauseEffects(stack, np.zeros(20), {}, dict, dict, further, residuals, {}, len, None, dict)
         >>> [[f.name for f in causes(30.0 * one[i]).explain_residuals()[1].best.causes] for i in (0, 1)]
         [['gain'], ['height']]
 
@@ -199,7 +199,7 @@ class Causes:
         ...     asked = of.get("evaluate", lambda truths, title, budgeted: [])
         ...     rarer = of.get("rarer", ())
         ...     residuals = Residuals(np.zeros(n), 1e-6 * np.eye(n), {}, np.eye(n))
-        ...     return Causes(stack, np.zeros(n), {}, lambda level: none, lambda: files, rarer, residuals,
+        ...     return CauseEffects(stack, np.zeros(n), {}, lambda level: none, lambda: files, rarer, residuals,
         ...                   {}, asked, of.get("mistake_effect"), lambda: none)
         >>> exchanged = Candidate("spectra of targets in the file", "scene", "", False, labels=("red and green",))
         >>> tried = causes(block("scores", 0.1, 0.9), block("roc", -4.0), files={exchanged: np.c_[[0.8, -0.6, -9.0]]})
@@ -481,7 +481,7 @@ def _evaluate(evaluate: Evaluate, truths: Sequence[Truths]) -> list[Array | None
         return [*_evaluate(evaluate, truths[:half]), *_evaluate(evaluate, truths[half:])] if half else [None]
 
 
-def collect_causes(model: ScenarioModel) -> Causes:
+def collect_effects(model: ScenarioModel) -> CauseEffects:
     """Everything that may have made a difference, each as a change of what is compared.
 
     Raises
@@ -503,13 +503,13 @@ def collect_causes(model: ScenarioModel) -> Causes:
     >>> def causes(lines):
     ...     scenarios = [stated.model_copy(update={"name": f"line {i}"}) for i in range(lines)]
     ...     asked = predict, side, side, None
-    ...     return collect_causes(ScenarioModel(scenarios, [world] * lines, *asked, looked_for={"green plank": 0.3}))
+    ...     return collect_effects(ScenarioModel(scenarios, [world] * lines, *asked, looked_for={"green plank": 0.3}))
     >>> [[c.name for c in causes(n).rarer[2]() if c.name.startswith("wavelength shift in")] for n in (1, 2, 4)]
     [[], ['wavelength shift in line 0', 'wavelength shift in line 1'], []]
     >>> fraction = {"subject": stated.scene.classes[0].name, "absolute": 0.002}
     >>> tight = stated.with_values({"uncertainty.fractions": [fraction]})
     >>> model = ScenarioModel([tight], [read_world(tight)], predict, side, side, None)
-    >>> (only,) = (c for c in collect_causes(model).residuals.columns if c.budgeted)
+    >>> (only,) = (c for c in collect_effects(model).residuals.columns if c.budgeted)
     >>> [round(size) for size in only.sizes]  # of 0.002, at which 0.2 is asked where nothing is stated
     [10, -10, -50, 50]
 
@@ -519,7 +519,7 @@ def collect_causes(model: ScenarioModel) -> Causes:
     ...     for (moved,) in truths:
     ...         off = sum(float(value.sum()) for path, value in moved.items() if path.startswith("fraction"))
     ...         yield replace(side, reflectance={"lawn": replace(lawn, mean=lawn.mean + off)})
-    >>> budget = collect_causes(replace(model, predict=moves)).residuals.covariance
+    >>> budget = collect_effects(replace(model, predict=moves)).residuals.covariance
     >>> (1e6 * budget[0, :2]).round(2), round(2e2 + 4.0 - 1e2 / len(budget), 2), round(4.0 - 1e2 / len(budget), 2)
     (array([203.39,   3.39]), 203.39, 3.39)
     >>> [one.labels[0] for one in causes(1).entry_effects()]
@@ -529,7 +529,7 @@ def collect_causes(model: ScenarioModel) -> Causes:
 
     >>> grass = PredictedProducts(world.stated.axis, reflectance={"grass": lawn})
     >>> both = lambda scenarios, truths, budgeted: iter([grass] * len(truths))
-    >>> (made,) = (g for c, g in collect_causes(ScenarioModel([stated], [world], both, grass, grass, None))
+    >>> (made,) = (g for c, g in collect_effects(ScenarioModel([stated], [world], both, grass, grass, None))
     ...            .residuals.columns.items() if c.name == "field spectrum of grass")
     >>> made.shape[1] - len(made)
     4
@@ -541,7 +541,7 @@ def collect_causes(model: ScenarioModel) -> Causes:
     ...     for moved in truths:
     ...         yield replace(side, reflectance={"lawn": replace(lawn, mean=lawn.mean + 0.01 * sum(map(bool, moved)))})
     >>> for n in (3, 4):
-    ...     made = collect_causes(ScenarioModel([lit] * n, [read_world(lit)] * n, asked, side, side, None))
+    ...     made = collect_effects(ScenarioModel([lit] * n, [read_world(lit)] * n, asked, side, side, None))
     ...     air = {c.name: g[0].round(9).tolist() for c, g in made.residuals.columns.items() if c.kind == ATMOSPHERE}
     ...     [air.get(name) for name in ("aerosol optical depth", "sunlight", "aerosol type")]
     ...     [c.sizes for c in made.residuals.columns if "depth" in c.name], [len(more()) for more in made.rarer[:2]]
@@ -562,7 +562,7 @@ def collect_causes(model: ScenarioModel) -> Causes:
     >>> each = [(z, {"limit": x}) for z, x in limits.items()]
     >>> tried = {"limit": (dict(each[:2]), "0.05"), "entry": (dict(each[2:]), "")}
     >>> side = PredictedProducts(world.stated.axis, radiance={"lawn": lawn})
-    >>> found = collect_causes(ScenarioModel([stated], [world], predict, side, side, observe, tried))
+    >>> found = collect_effects(ScenarioModel([stated], [world], predict, side, side, observe, tried))
     >>> for one, made in found.exchange_effects().items():
     ...     print(one.name, one.sizes[:2], one.labels, made[[0, -1], 0].round(9).tolist())
     limit (-1.0,) () [-0.5, -0.5]
@@ -649,7 +649,7 @@ def collect_causes(model: ScenarioModel) -> Causes:
     heights = [c for c in rarer if c.name in HEIGHTS and not many]
     parts = heights, rare, [c for c in rarer if c not in heights]
     asked = [cache(partial(_candidate_columns, candidates, {}, predicted, evaluate)) for candidates in parts]
-    return Causes(
+    return CauseEffects(
         stack, predicted, quantities(base, observed), partial(spectral_errors, arms=arms), entry_effects, asked,
         residuals, ends, evaluate, mistake_effect, exchange_effects,
     )  # fmt: skip
@@ -705,20 +705,20 @@ def attribute(
     ------
     UsageError : nothing that both sides hold, or a what-if that fits no scenario.
     """
-    causes = collect_causes(model)
-    stated = {c: ends for c, ends in causes.ends.items() if c.budgeted}
-    outcomes = _what_ifs(model, causes, options.what_ifs)
-    ranked = causes.explain_residuals()[0].posteriors(causes.stack, options.each)
-    if accepted and (since := causes.explain_since(accepted[0], simulated=simulated)) is not None:
+    effects = collect_effects(model)
+    stated = {c: ends for c, ends in effects.ends.items() if c.budgeted}
+    outcomes = _what_ifs(model, effects, options.what_ifs)
+    ranked = effects.explain_residuals()[0].posteriors(effects.stack, options.each)
+    if accepted and (since := effects.explain_since(accepted[0], simulated=simulated)) is not None:
         since = add_uncertainty_remark(since, ranked[0].chi_square / ranked[0].dof, accepted[1])
         ranked.append(replace(since, group=SINCE, level=ranked[0].level))
     rows = [item for group in ranked for item in _posterior_rows(group)]
-    rows += _remainder_rows(causes, ranked[0])
+    rows += _remainder_rows(effects, ranked[0])
     measured = quantities(model.observed, model.observed)
-    for quantity, value in causes.numbers.items():
+    for quantity, value in effects.numbers.items():
         shares = variance_shares(value, [(up[quantity], down[quantity]) for up, down in stated.values()])
         shares_of = dict(zip(stated, shares.tolist(), strict=True))
-        rows += _sensitivity_rows(quantity, measured[quantity] - value, causes.ends, shares_of)
+        rows += _sensitivity_rows(quantity, measured[quantity] - value, effects.ends, shares_of)
     return rows + outcomes
 
 
@@ -852,23 +852,23 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
         yield from named(out, "attribution", r.group, item.name)
 
 
-def _remainder_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
+def _remainder_rows(effects: CauseEffects, r: Posterior) -> Iterator[Result]:
     """Of each quantity the reduced chi-square before and after the cause that is named first.
 
     >>> from hyperval.attribute import ResidualBlock
     >>> one, gain = np.eye(20), Candidate("gain", "scene", "1 km", False)
     >>> stack = Stack((ResidualBlock("scores", "paint", "cem", np.zeros(20), one, len),))
     >>> residuals = Residuals(30.0 * one[0] + 2.0 * one[1], one, {gain: one[:, :1]}, 0.1 * one[:, 4:])
-    >>> causes = Causes(stack, np.zeros(20), {}, dict, dict, [], residuals, {}, len, None, dict)
-    >>> found = _remainder_rows(causes, residuals.posterior(ALL, True))
+    >>> effects = CauseEffects(stack, np.zeros(20), {}, dict, dict, [], residuals, {}, len, None, dict)
+    >>> found = _remainder_rows(effects, residuals.posterior(ALL, True))
     >>> [(r.subject, r.method, round(r.value, 1), r.reason) for r in found]
     [('scores of paint cem', 'gain', 0.2, '45.2 before')]
     """
     if not r.best.causes or r.first_cause == NONE:
         return
-    (residual, covariance, *_), first = causes.residuals, r.best.causes[0]
+    (residual, covariance, *_), first = effects.residuals, r.best.causes[0]
     remaining = residual - Whitened(residual, covariance).unwhiten(first.shown)
-    for block, part in causes.stack.with_slices():
+    for block, part in effects.stack.with_slices():
         spread = covariance[part, part]
         before, after = (Whitened(x[part], spread).chi_square / block.observed.size for x in (residual, remaining))
         found = row("reduced_chi_square", after, n=block.observed.size, before=before, reason=f"{before:.4g} before")
@@ -904,7 +904,7 @@ def _sensitivity_rows(
         yield replace(found, product="sensitivity", subject=subject, method=method)
 
 
-def _what_ifs(model: ScenarioModel, causes: Causes, what_ifs: Sequence[WhatIf]) -> list[Result]:
+def _what_ifs(model: ScenarioModel, effects: CauseEffects, what_ifs: Sequence[WhatIf]) -> list[Result]:
     """Rows of every experiment of a campaign, the one that closes most of the gap first; then those of false alarms.
 
     ``reduced_chi_square`` after it, ``likelihood_gain`` and each summary gap after it.  The gain is the fall of the
@@ -930,11 +930,12 @@ def _what_ifs(model: ScenarioModel, causes: Causes, what_ifs: Sequence[WhatIf]) 
     ...     return iter([side(scenarios[0].scene.classes[0].gain)])
     >>> data, stack = side(1.1, 0.01), stack_of(side(1.0), side(1.1, 0.01))
     >>> residuals = Residuals(np.zeros(2), stack.covariance + 0.01 * np.eye(2), {}, np.eye(2))
-    >>> causes = Causes(stack, np.ones(2), quantities(side(1.0), data), dict, dict, [], residuals, {}, len, None, dict)
+    >>> numbers = quantities(side(1.0), data)
+    >>> effects = CauseEffects(stack, np.ones(2), numbers, dict, dict, [], residuals, {}, len, None, dict)
     >>> model = ScenarioModel([load_scenario("panels")], [], predict, data, data, lambda settings, _: side(1.05, 0.04))
     >>> tried = [WhatIf(name="dark", question="darker?", scenario={"scene.classes.grass.gain": 0.9}),
     ...          WhatIf(name="again", question="better?", observe={"collection.cube.scale": 2.0})]
-    >>> for r in _what_ifs(model, causes, tried):
+    >>> for r in _what_ifs(model, effects, tried):
     ...     print(r.method, r.metric, round(r.value, 3), r.n, r.reason)
     again reduced_chi_square 0.05 2 0.5 before; better?
     again likelihood_gain 0.9 2 p = 0.95 after
@@ -946,7 +947,7 @@ def _what_ifs(model: ScenarioModel, causes: Causes, what_ifs: Sequence[WhatIf]) 
     again / cem pfa_ratio@1e-2 0.794 None 0.631 before (0.32 to 1.3)
     dark / cem pfa_ratio@1e-2 0.359 None 0.631 before (0.32 to 1.3)
     """
-    stack = causes.stack
+    stack = effects.stack
 
     def misfit(name: str, predicted: Products, other: Products) -> tuple[Whitened, dict[str, float], dict[Key, Result]]:
         """Residuals over their uncertainty, summary gaps, ratios of false alarms."""
@@ -956,9 +957,9 @@ def _what_ifs(model: ScenarioModel, causes: Causes, what_ifs: Sequence[WhatIf]) 
         with suppress(KeyError):  # of a subject that is not there any more
             measured = after.predicted(predicted) if now == before else None
         values = after.observed - needed(measured, "whatif.other", name=name)
-        spread = causes.residuals.covariance
+        spread = effects.residuals.covariance
         spread = spread if after is stack else spread - stack.covariance + after.covariance
-        return Whitened(values, spread), summary_gaps(causes.numbers, predicted, other), alarm_ratios(predicted, other)
+        return Whitened(values, spread), summary_gaps(effects.numbers, predicted, other), alarm_ratios(predicted, other)
 
     def run(item: WhatIf) -> tuple[Whitened, dict[str, float], dict[Key, Result]]:
         predicted = model.predict_scenarios(changed_scenarios(model.scenarios, item))

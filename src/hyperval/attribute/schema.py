@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 from pydantic import Field
 
-from hyperval.config import Model, Refused, twice
+from hyperval.config import Model, Refusal, twice
 
 
 class WhatIf(Model):
@@ -22,7 +22,7 @@ class WhatIf(Model):
         description="dotted path -> value below 'collection' or 'detection': the collection is measured again",
     )
 
-    refused: ClassVar[Refused] = {
+    refused: ClassVar[Refusal] = {
         "give scenario or observe: a what-if changes something": lambda w: not w.scenario and not w.observe,
         "observe: {0!r} is in neither collection nor detection": lambda w: [
             path for path in w.observe if path.partition(".")[0] not in ("collection", "detection")
@@ -36,4 +36,4 @@ class AttributionOptions(Model):
     each: list[str] = Field(default_factory=list, description="subjects also ranked by themselves; * and ? allowed")
     what_ifs: list[WhatIf] = Field(default_factory=list)
 
-    refused: ClassVar[Refused] = {"two what-ifs are named {0!r}": lambda o: twice(w.name for w in o.what_ifs)}
+    refused: ClassVar[Refusal] = {"two what-ifs are named {0!r}": lambda o: twice(w.name for w in o.what_ifs)}

@@ -299,7 +299,7 @@ def power_table(job: Job, errors: Mapping[str, attribute.Perturbation]) -> Power
 
         prediction = predicted_side(collection, stated)
         before = outcomes(collection, prediction)
-        causes = attribute.collect_causes(attribution_model(collection, prediction))
+        causes = attribute.collect_effects(attribution_model(collection, prediction))
         rows = {name: inject(error) for name, error in track(errors.items(), "injected errors", len(errors))}
         are_met = [r.outcome is not Outcome.DISAGREES for r in before if r.gates and r.evidence is Evidence.MODEL]
         files, values, reasons = own_files(collection.inputs.entries()), gate_values(before), _attribution_skill(causes)
@@ -309,7 +309,7 @@ def power_table(job: Job, errors: Mapping[str, attribute.Perturbation]) -> Power
         )  # fmt: skip
 
 
-def _attribution_skill(causes: attribute.Causes) -> AttributionSkill:
+def _attribution_skill(causes: attribute.CauseEffects) -> AttributionSkill:
     """What the attribution says of worlds drawn within the stated uncertainty, a fixed seed."""
     named, grouped = dict[str, Counter[str]](), Counter[str]()
     stated, wrong = list[tuple[float, bool]](), list[bool]()

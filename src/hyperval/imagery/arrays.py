@@ -69,7 +69,7 @@ _FRACTIONS |= dict.fromkeys(("sr-1", "sr^-1", "1/sr", "/sr"), "sr-1")
 # What is opened: a mapping from names to arrays ---------------------------------------------------------------------
 
 
-class Store:
+class ArrayFile:
     """A file that is opened for each read or, inside :meth:`kept_open`, once for all of them.
 
     ``opener`` (path, *arguments) gives what is opened; another process opens it for itself.
@@ -158,7 +158,7 @@ def _matrix(path: Path, kind: str, *names: str) -> dict[str, Numbers]:
     >>> with TemporaryDirectory() as folder:
     ...     scipy.io.savemat(path := Path(folder) / "x.mat", {"a": np.arange(999.0)}, do_compression=True)
     ...     _ = path.write_bytes(path.read_bytes()[:-4])
-    ...     Store(path, _matrix, "MATLAB 5", "a").read("a", ())
+    ...     ArrayFile(path, _matrix, "MATLAB 5", "a").read("a", ())
     Traceback (most recent call last):
     hyperval.errors.InputError: ...: damaged, or not of the kind that its name says (...
       to fix it: correct it there, or copy the file again
@@ -194,7 +194,7 @@ def check_own_values(path: Path) -> None:
         elsewhere = isinstance(item, h5py.Dataset) and (item.external or item.is_virtual)
         return name if elsewhere or isinstance(item, h5py.ExternalLink) else None
 
-    with Store(path, hdf5).kept_open() as file:
+    with ArrayFile(path, hdf5).kept_open() as file:
         found = file.visititems_links(foreign) or file.visititems(foreign)
     refuse(found, "array.foreign", path, name=found)
 
@@ -210,7 +210,7 @@ class Term(NamedTuple):
     ignore: float | None = None
 
 
-class Piece(NamedTuple):
+class BandArrays(NamedTuple):
     """Arrays that give some bands of the image.
 
     Attributes
@@ -242,8 +242,8 @@ class ArrayRaster(Raster):
     pieces : the arrays, in the order of the bands
     """
 
-    store: Store = field(kw_only=True)
-    pieces: tuple[Piece, ...] = field(kw_only=True)
+    store: ArrayFile = field(kw_only=True)
+    pieces: tuple[BandArrays, ...] = field(kw_only=True)
 
     kind = "arrays of a file"
     in_blocks = True
@@ -313,7 +313,7 @@ class ArrayRaster(Raster):
         with self.kept_open():
             return np.concatenate([self._box(slice(band, band + 1), *part) for band in bands])
 
-    def _block(self, piece: Piece, axis: str, whole: int) -> int:
+    def _block(self, piece: BandArrays, axis: str, whole: int) -> int:
         """Size along an axis of the blocks that a piece is stored in; ``whole`` where it is not stored in blocks."""
         with self.store.kept_open() as opened:
             array = opened[piece.terms[0].name]
@@ -330,7 +330,7 @@ class ArrayRaster(Raster):
             first += piece.size("b")
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
-    def _values(self, piece: Piece, ranges: Mapping[str, slice]) -> Numbers:
+    def _values(self, piece: BandArrays, ranges: Mapping[str, slice]) -> Numbers:
         """(bands, lines, samples) of a part of a piece."""
         selection = tuple(ranges.get(axis, slice(0, 1)) for axis in piece.axes)
         order = sorted(range(len(piece.axes)), key=lambda axis: f"{AXES}-".index(piece.axes[axis]))
@@ -347,7 +347,7 @@ class ArrayRaster(Raster):
 
 
 def array_raster(
-    store: Store, pieces: tuple[Piece, ...], description: Description, position: Position = (None, None)
+    store: ArrayFile, pieces: tuple[BandArrays, ...], description: Description, position: Position = (None, None)
 ) -> ArrayRaster:
     """The image of some arrays of one size.
 
@@ -417,7 +417,7 @@ def open_labelled(path: Path, variable: str | None = None, engine: str | None = 
     InputError : no installed engine opens it, or no array has three axes and wavelengths.
     UsageError : several arrays could be meant, or ``variable`` is none of them.
     """
-    store = Store(path, _tree, engine)
+    store = ArrayFile(path, _tree, engine)
     with store.kept_open() as tree:
         return _labelled_raster(_chosen([(n.path, n.to_dataset()) for n in tree.subtree], variable, path), store)
 
@@ -437,7 +437,7 @@ def labelled_array(array: xr.DataArray | xr.Dataset, variable: str | None = None
     with warnings.catch_warnings(action="ignore", category=xr.SerializationWarning):
         data = xr.decode_cf(array, decode_times=False)
     chosen = _chosen([("/", data)], variable, path)
-    return _labelled_raster(chosen, Store(path, at_hand, chosen.path, chosen.array.variable))
+    return _labelled_raster(chosen, ArrayFile(path, at_hand, chosen.path, chosen.array.variable))
 
 
 def _wavelengths(array: xr.DataArray, data: xr.Dataset) -> xr.DataArray | None:
@@ -491,12 +491,12 @@ def _bands(array: xr.DataArray, sources: Iterable[xr.Dataset]) -> tuple[xr.Datas
     return next(((d, w) for d, w in pairs if w is not None and w.size == array.sizes[w.dims[0]]), None)
 
 
-def _labelled_raster(chosen: LabelledArray, store: Store) -> ArrayRaster:
+def _labelled_raster(chosen: LabelledArray, store: ArrayFile) -> ArrayRaster:
     array, data = chosen.array, chosen.data
     assert chosen.bands is not None  # noqa: S101 - chosen by them
     dataset, wave = chosen.bands
     axes = _axes(array, str(wave.dims[0]))
-    piece = Piece((Term(chosen.path),), axes, array.shape, array.dtype.newbyteorder("="))
+    piece = BandArrays((Term(chosen.path),), axes, array.shape, array.dtype.newbyteorder("="))
     quantity, unit, notes = quantity_of(_stated_unit(array), str(array.name), str(array.attrs.get("long_name", "")))
     good, width = (_along_bands(dataset, wave, name) for name in (_GOOD, _WIDTH))
     centre, flags = np.asarray(wave.values, float), None if good is None else good != 0
@@ -621,7 +621,7 @@ def _shapes(path: Path, kind: str) -> dict[str, tuple[int, ...]]:
             if isinstance(item, h5py.Dataset) and item.dtype.kind in "iufb" and not name.startswith("#"):
                 shapes[name] = item.shape[:: -1 if kind == "MATLAB 7.3" else 1]
 
-        with Store(path, hdf5).kept_open() as file:
+        with ArrayFile(path, hdf5).kept_open() as file:
             file.visititems(visit)
     return shapes
 
@@ -751,10 +751,10 @@ def open_matrix(
     axes, shape = axes[::turn], shapes[name][::turn]
     sizes = dict(zip(axes, shape, strict=True))
     axis_arrays = [[n for n, size in vectors.items() if p.search(n) and size == sizes.get(axis)] for p, axis in _BESIDE]
-    store = Store(path, hdf5) if tree else Store(path, _matrix, kind, name, *chain(*axis_arrays))
+    store = ArrayFile(path, hdf5) if tree else ArrayFile(path, _matrix, kind, name, *chain(*axis_arrays))
     dtype = store.read(name, (slice(0, 1),) * len(shape)).dtype
     refuse(dtype.kind not in "iufb", "array.type", path, name=name, dtype=dtype)
-    piece = Piece((Term(name),), axes, shape, dtype.newbyteorder("="))
+    piece = BandArrays((Term(name),), axes, shape, dtype.newbyteorder("="))
 
     wave, width, east, north = (
         store.read(names[0], (slice(None),)).astype(float).ravel() if len(names) == 1 else None for names in axis_arrays

@@ -588,8 +588,8 @@ def raster_of(image: Any, variable: str | None = None) -> Raster | Path:
     bands = ListedBands(centres, widths, about.band_unit)
     dtype = np.dtype(np.float32 if isinstance(image, SpyFile) else image.dtype)
     values = np.asarray(image) if isinstance(image, np.ndarray) else image
-    piece = arrays.Piece((arrays.Term("image"),), "lsb", tuple(image.shape), dtype)
-    store = arrays.Store(path, arrays.at_hand, "image", values)
+    piece = arrays.BandArrays((arrays.Term("image"),), "lsb", tuple(image.shape), dtype)
+    store = arrays.ArrayFile(path, arrays.at_hand, "image", values)
     return arrays.array_raster(store, (piece,), Description("image of SPy", bands))
 
 

@@ -306,8 +306,8 @@ def _places_of_cells(table: Raster, shape: tuple[int, int]) -> Raster:
     refuse(not greatest.any(), "place.empty", where)
     with np.errstate(invalid="ignore"):
         places = (total[1:] / total[0]).reshape(2, *shape)
-    piece = arrays.Piece((arrays.Term("places"),), "bls", places.shape, places.dtype)
-    store = arrays.Store(table.path, arrays.at_hand, "places", places)
+    piece = arrays.BandArrays((arrays.Term("places"),), "bls", places.shape, places.dtype)
+    store = arrays.ArrayFile(table.path, arrays.at_hand, "places", places)
     about = Description("lookup table", entries=table.description.entries)
     return arrays.array_raster(store, (piece,), about, (None, table.crs))
 

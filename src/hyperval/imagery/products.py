@@ -140,7 +140,7 @@ def open_product(path: Path) -> arrays.ArrayRaster | None:
     ------
     InputError : cut short, or contents that contradict the layout.
     """
-    store = arrays.Store(path, arrays.hdf5)
+    store = arrays.ArrayFile(path, arrays.hdf5)
     with store.kept_open() as file:
         tree = _tree(file, path)
         if tree is None:
@@ -195,22 +195,22 @@ def table_in(raster: Raster) -> arrays.ArrayRaster | None:
                 continue
             columns = [tree.image(name, axes=2) for name in names]
             dtype = np.dtype(np.int32 if on_map else np.float64)
-            pieces = tuple(arrays.Piece((arrays.Term(c.name.strip("/")),), "ls", c.shape, dtype) for c in columns)
+            pieces = tuple(arrays.BandArrays((arrays.Term(c.name.strip("/")),), "ls", c.shape, dtype) for c in columns)
             position = _position(tree, pieces[0])[:2] if on_map else (None, CRS.from_epsg(4326))
             about = Description(ignore_value=arrays.stated(columns[0].attrs) if on_map else None)
-            return arrays.array_raster(arrays.Store(raster.path, arrays.hdf5), pieces, about, position)
+            return arrays.array_raster(arrays.ArrayFile(raster.path, arrays.hdf5), pieces, about, position)
     return None
 
 
-def _piece(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, ignore: float | None) -> arrays.Piece:
+def _piece(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, ignore: float | None) -> arrays.BandArrays:
     first = arrays.Term(image.name.strip("/"))
     if array.plus is None:
-        return arrays.Piece((first,), array.dimensions, image.shape, image.dtype.newbyteorder("="))
+        return arrays.BandArrays((first,), array.dimensions, image.shape, image.dtype.newbyteorder("="))
     second = tree.image(array.plus[0])
     refuse(second.shape != image.shape, "product.shape", tree.path, name=second.name, other=image.name)
     weight = 1.0 / tree.number(array.plus[1])
     terms = first._replace(ignore=ignore), arrays.Term(second.name.strip("/"), weight)
-    return arrays.Piece(terms, array.dimensions, image.shape, np.dtype(np.float32))
+    return arrays.BandArrays(terms, array.dimensions, image.shape, np.dtype(np.float32))
 
 
 def _columns(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, bands: int) -> Array:
@@ -254,7 +254,7 @@ def _ignore(tree: ProductTree, image: h5py.Dataset) -> float | None:
     return ignore if stated is None else stated
 
 
-def _position(tree: ProductTree, piece: arrays.Piece) -> Position:
+def _position(tree: ProductTree, piece: arrays.BandArrays) -> Position:
     """Transform and system of the image, or of the lookup table of one in scanner geometry."""
     layout, crs = tree.layout, _crs(tree)
     lines, samples = piece.size("l"), piece.size("s")

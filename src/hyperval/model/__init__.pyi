@@ -3,7 +3,7 @@
 from .ace import Exceedance, ace_exceedance, ace_space, ace_threshold, exceedance_at
 from .classification import (
     ClassLaw,
-    Unmixed,
+    UnmixedAreas,
     UnmixedSubject,
     bhattacharyya_distance,
     class_features,
@@ -155,7 +155,7 @@ __all__ = [
     "AREAS", "FEW_PER_BAND", "FILTERS", "HOST", "PATHS", "PLACE", "WHOLE", "Z95", "ClassLaw", "ClassScores",
     "Evaluation", "Exceedance", "FillDistribution", "Host", "Light", "LinearFilter", "Origins", "PositiveDefinite",
     "Read", "RocArea", "RocScores", "Shares", "Sources", "Stated", "SurfaceStatistics", "Truth", "UncertainInput",
-    "Unmixed", "UnmixedSubject", "World", "ace_exceedance", "ace_space", "ace_threshold", "add_perturbations",
+    "UnmixedAreas", "UnmixedSubject", "World", "ace_exceedance", "ace_space", "ace_threshold", "add_perturbations",
     "adjacency_slope", "all_paths", "aperture_weights", "as_column", "average_reflectance", "band_correlation",
     "band_error_covariance", "beta_fill", "beyond_jeffreys_limits", "bhattacharyya_distance", "bounded_mean_limits",
     "cem_correlation_weights", "chi_square_mixing", "class_features", "class_threshold", "classification_error",

@@ -303,7 +303,7 @@ class UnmixedSubject:
 
 
 @dataclass(frozen=True, eq=False)
-class Unmixed:
+class UnmixedAreas:
     """Areas by (subject, method), and the inputs of the prediction of each subject.
 
     ``bands`` (B,) were used; ``noise``: method -> (F, F) weights of the fit, None for equal ones.
@@ -322,7 +322,7 @@ def unmixing_method(method: str, endmembers: str) -> str:
 
 
 def predicted_areas(
-    scenario: Scenario, origins: Origins, truth: Truth, prediction: PredictedProducts, unmixed: Unmixed,
+    scenario: Scenario, origins: Origins, truth: Truth, prediction: PredictedProducts, unmixed: UnmixedAreas,
     draws: int = 400, seed: int = 0,
 ) -> dict[tuple[str, str], Abundance]:  # fmt: skip
     """Mean and spread of the area that unmixing would find, by (subject, method).

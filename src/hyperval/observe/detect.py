@@ -24,7 +24,7 @@ from hyperval.executors import single_blas_thread
 from hyperval.imagery.regions import objects, window_of
 from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels, mask_window
 from hyperval.model import FEW_PER_BAND, PositiveDefinite, Sources, fully_constrained, own_mean_sampling
-from hyperval.model.classification import Unmixed, UnmixedSubject, unmixing_method
+from hyperval.model.classification import UnmixedAreas, UnmixedSubject, unmixing_method
 from hyperval.observe.open import IMAGE, Place, number_rows, said
 from hyperval.paths import Resolve
 from hyperval.products import ANOMALIES, Abundance, ExceedanceCurve, ObjectScores, ScoreDistribution, background_of
@@ -496,7 +496,7 @@ class _Footprints(NamedTuple):
     complete: bool
 
 
-def unmix(place: Place, detection: Detection, task: Unmixing, bands: Mask, resolve: Resolve) -> Unmixed:
+def unmix(place: Place, detection: Detection, task: Unmixing, bands: Mask, resolve: Resolve) -> UnmixedAreas:
     """Area of every target object from the sum of its abundances over the pixels that may hold a part of it.
 
     The uncertainty is the spread of the same sum over footprints laid at random on the background, which have
@@ -539,7 +539,7 @@ def unmix(place: Place, detection: Detection, task: Unmixing, bands: Mask, resol
                     item.endmembers, len(members), nominal, int(np.mean([f.ring for f in valid])),
                 )
             )  # fmt: skip
-    return Unmixed(areas, tuple(subjects), bands, noise, pixel_area)
+    return UnmixedAreas(areas, tuple(subjects), bands, noise, pixel_area)
 
 
 def _abundance_sum(footprints: _Footprints, spectrum: Array, noise: PositiveDefinite | None) -> ObjectSum:

@@ -19,7 +19,7 @@ from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.data import Array, Components, Index, Mask, SampleStatistics, statistics_of
 from hyperval.errors import UsageError, refusal, refuse, told_of
 from hyperval.imagery import Cube, TargetObject, all_pixels
-from hyperval.model import ClassLaw, Unmixed, class_features, covariance_directions, feature_bands, measured_error
+from hyperval.model import ClassLaw, UnmixedAreas, class_features, covariance_directions, feature_bands, measured_error
 from hyperval.model.intervals import student_factor
 from hyperval.observe import sites
 from hyperval.observe.detect import BACKGROUND, Detected, detect, scored_part, target_groups, unmix
@@ -68,7 +68,7 @@ class Observed:
     masks: Labels = field(default_factory=lambda: Labels.from_masks((0, 0)))
     sampling: Mapping[str, EstimatedPart] = field(default_factory=dict)
     detected: Detected | None = None
-    unmixed: Unmixed | None = None
+    unmixed: UnmixedAreas | None = None
 
 
 def observe(

@@ -111,7 +111,7 @@ PD_OF_FAR = 0.5
 
 
 @dataclass(frozen=True)
-class Measure:
+class BenchmarkMetric:
     """One metric.
 
     Attributes
@@ -133,14 +133,14 @@ def is_detected(pfa: float) -> Callable[[Array, Array], Array]:
     return lambda over, tie: np.asarray(over + tie <= pfa * (1.0 + 1e-9), dtype=float)
 
 
-MEASURES: Mapping[str, Measure] = {
+MEASURES: Mapping[str, BenchmarkMetric] = {
     m.name: m
     for m in (
-        Measure("auc", "AUC", AREAS["auc"].averaged),
-        Measure(LOG_AREA, "log-weighted AUC, P_FA 1e-3 to 1e-1", AREAS[LOG_AREA].averaged, 1e-3),
-        Measure("pd@1e-2", "P_D at P_FA 1e-2", is_detected(1e-2), 1e-2),
-        Measure("pd@1e-3", "P_D at P_FA 1e-3", is_detected(1e-3), 1e-3),
-        Measure("far@pd0.5", "false alarms per km2 at P_D 0.5", None),
+        BenchmarkMetric("auc", "AUC", AREAS["auc"].averaged),
+        BenchmarkMetric(LOG_AREA, "log-weighted AUC, P_FA 1e-3 to 1e-1", AREAS[LOG_AREA].averaged, 1e-3),
+        BenchmarkMetric("pd@1e-2", "P_D at P_FA 1e-2", is_detected(1e-2), 1e-2),
+        BenchmarkMetric("pd@1e-3", "P_D at P_FA 1e-3", is_detected(1e-3), 1e-3),
+        BenchmarkMetric("far@pd0.5", "false alarms per km2 at P_D 0.5", None),
     )
 }
 
@@ -166,14 +166,14 @@ def pfa_at_detection(over: Array, tie: Array, weight: Array) -> Array:
     return np.asarray(np.take_along_axis(np.take_along_axis(s, order, axis=0), reached[None], axis=0)[0])
 
 
-def draw_metric(measure: Measure, over: Array, tie: Array, weight: Array) -> Array:
+def draw_metric(measure: BenchmarkMetric, over: Array, tie: Array, weight: Array) -> Array:
     """(D, R) the metric in draws of looks and background; of false alarms the P_FA, not yet per km2."""
     if measure.of_look is None:
         return pfa_at_detection(over, tie, weight)
     return np.asarray(np.einsum("pdr,pr->dr", measure.of_look(over, tie), weight) / weight.sum(axis=0))
 
 
-def goodness(measure: Measure, values: Array, n: int) -> Array:
+def goodness(measure: BenchmarkMetric, values: Array, n: int) -> Array:
     """The metric so that more is better; of P_FA minus its logarithm, no less than half a pixel of ``n``."""
     if measure.of_look is not None:
         return values
@@ -256,7 +256,7 @@ def rank_sets(values: Array, draws: Array, objects: int) -> tuple[Counts, Counts
 
 
 def rank_detectors(
-    counts: BlockCounts, looks: list[int], measure: Measure, *, draws: int, rng: np.random.Generator
+    counts: BlockCounts, looks: list[int], measure: BenchmarkMetric, *, draws: int, rng: np.random.Generator
 ) -> RankedDetectors:
     """Detectors on the objects of some looks: objects and blocks of the background drawn anew, for all at once.
 
@@ -295,7 +295,7 @@ def rank_detectors(
     )  # fmt: skip
 
 
-def _resample(part: BlockCounts, measure: Measure, objects: int, draws: int, rng: np.random.Generator) -> Array:
+def _resample(part: BlockCounts, measure: BenchmarkMetric, objects: int, draws: int, rng: np.random.Generator) -> Array:
     """(2, D, R) the metric with objects and blocks drawn anew, and with blocks alone."""
     blocks, looks = part.pixels.size, part.item.size
     step = max(1, _CHUNK_VALUES // (looks * len(part.detectors)))
@@ -456,7 +456,7 @@ def side_rows(side: Products, side_word: Literal["measured", "predicted"]) -> It
             yield replace(one, product=PRODUCT, metric=metric, evidence=None)
 
 
-def rank_rows(group: str, counts: BlockCounts, measure: Measure, ranks: RankedDetectors) -> list[Result]:
+def rank_rows(group: str, counts: BlockCounts, measure: BenchmarkMetric, ranks: RankedDetectors) -> list[Result]:
     """``METRIC`` (of all objects together), ``rank_METRIC`` and ``first_METRIC`` of each detector on one group."""
     m, rows, name = ranks.objects, list[Result](), measure.name
     words = f"paired: {DRAWS} draws of {m} objects and of blocks of the background, the same for all detectors"

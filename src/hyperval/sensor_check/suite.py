@@ -199,7 +199,7 @@ class SnrPoint(NamedTuple):
         return self.item.radiance is not None or self.item.scene is not None
 
 
-class Swing(NamedTuple):
+class Sensitivity(NamedTuple):
     """What a number does when it is lowered and raised.
 
     Attributes
@@ -329,13 +329,13 @@ class SensorCheck:
         return min(probes, key=lambda p: abs(p.value - 0.5), default=None)
 
     @cached_property
-    def swings(self) -> list[Swing]:
+    def swings(self) -> list[Sensitivity]:
         """Each assumed number lowered and raised by the part ``vary``, largest change of the SNR first."""
         named, swings = movable_numbers(self.sensor.specification), []
         assumed = [(name, origin) for name, origin in named.items() if "assumed" in origin.lower()]
         for name, source in track(assumed, "assumed numbers"):
             changes = (self._changes({name: factor}) for factor in (1.0 - self.vary, 1.0 + self.vary))
-            swings.append(Swing(name, source, *zip(*changes, strict=True)))
+            swings.append(Sensitivity(name, source, *zip(*changes, strict=True)))
         return sorted(swings, key=lambda s: -max(abs(v) for v in s.snr))
 
     def _changes(self, factors: Mapping[str, float]) -> tuple[float, float]:

@@ -380,7 +380,7 @@ def _held_out_values(nodes: Array, u: Array) -> Array:
     return np.asarray(nodes[k] + part * np.diff(nodes)[k])
 
 
-class Answers(NamedTuple):
+class RequiredValues(NamedTuple):
     """Answers at n points.
 
     Attributes
@@ -400,7 +400,7 @@ def required_values(
     columns: Columns,
     question: Required,
     outputs: Sequence[Output],
-) -> Answers:
+) -> RequiredValues:
     """Solve output(x) = value for x at every point of ``columns`` (dotted path -> (n,)).
 
     The output is looked at over the range; a change of sign between neighbours is a bracket, in which the root is
@@ -440,7 +440,7 @@ def required_values(
         reports[good] = reported[:, 1:]
         for k, words in problems.items():
             reasons[int(good[k])] = "; ".join(filter(None, (reasons.get(int(good[k])), words)))
-    return Answers(values, reports, reasons)
+    return RequiredValues(values, reports, reasons)
 
 
 def _bracket(x: Array, gap: Array, question: Required) -> tuple[int, str]:

@@ -20,9 +20,9 @@ import hyperval
 from hyperval.errors import HypervalError, package_table
 from hyperval.executors import TaskPool
 from hyperval.web import predictions, runs, uploads  # noqa: F401  (their routes)
-from hyperval.web.guard import Guard
+from hyperval.web.guard import RequestGuard
 from hyperval.web.pages import api, page, pages
-from hyperval.web.refusal import FieldMistake, Refused, error_text, json_error, mistakes_of
+from hyperval.web.refusal import FieldMistake, Refusal, error_text, json_error, mistakes_of
 from hyperval.web.store import Runs, ServerSettings
 
 
@@ -58,7 +58,7 @@ def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None =
 
     for kind in (RequestValidationError, HypervalError, HTTPException):
         app.add_exception_handler(kind, _error_response)
-    app.add_middleware(Guard, settings=settings)
+    app.add_middleware(RequestGuard, settings=settings)
     return app
 
 
@@ -79,7 +79,7 @@ def _error_response(request: Request, error: Exception) -> Response:
     if isinstance(error, HTTPException):
         status, headers = error.status_code, {name.lower(): value for name, value in (error.headers or {}).items()}
         unsaid = FieldMistake("body" if status == 400 else "", _WORDS.get(status, "refused"))
-        mistakes = list(error.mistakes) if isinstance(error, Refused) else [unsaid]
+        mistakes = list(error.mistakes) if isinstance(error, Refusal) else [unsaid]
     elif isinstance(error, RequestValidationError):
         status, unread = 422, isinstance(error.body, str)
         mistakes = [

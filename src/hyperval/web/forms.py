@@ -25,7 +25,7 @@ from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load
 from hyperval.sensor.specification import library_names
 from hyperval.statistics_library import BUILTIN_NAMES
 from hyperval.study.schema import StudyFile
-from hyperval.web.refusal import MAX_MISTAKES, FieldMistake, Refused, deny, mistakes_of, redact
+from hyperval.web.refusal import MAX_MISTAKES, FieldMistake, Refusal, deny, mistakes_of, redact
 
 Schema = Mapping[str, Any]
 Given = Mapping[str, list[str]]  # name of a field -> what stands in it
@@ -48,7 +48,7 @@ _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 
 
 @dataclass(frozen=True, eq=False)
-class Node:
+class FormNode:
     """A part of a form.
 
     Attributes
@@ -70,14 +70,14 @@ class Node:
     value: Any = ""
     choices: tuple[str, ...] = ()
     is_needed: bool = False
-    children: tuple[Node, ...] = ()
+    children: tuple[FormNode, ...] = ()
     is_open: bool = False
     is_shown: bool = True
     is_changed: bool = False
     chosen: int = 0
 
     @property
-    def active_children(self) -> tuple[Node, ...]:
+    def active_children(self) -> tuple[FormNode, ...]:
         """The children that count: of variants the chosen one alone."""
         return self.children[self.chosen - 1 : self.chosen] if self.kind == "variants" else self.children
 
@@ -92,7 +92,7 @@ class Node:
         stated = [f"{n.title} {', '.join(n.value) if n.kind == 'several' else n.value}" for n in self._filled_nodes()]
         return "; ".join(stated[:_MAX_MARKED]) + (" ..." if len(stated) > _MAX_MARKED else "")
 
-    def _filled_nodes(self) -> Iterator[Node]:
+    def _filled_nodes(self) -> Iterator[FormNode]:
         for child in self.active_children:
             yield from child._filled_nodes()
         if self.value and not self.path.endswith(".name"):
@@ -101,7 +101,7 @@ class Node:
 
 def form_nodes(
     data: Mapping[str, Any] | None = None, begun: Mapping[str, Any] | None = None, sensors: tuple[str, ...] = ()
-) -> tuple[Node, ...]:
+) -> tuple[FormNode, ...]:
     """The parts of the form of a scenario, filled in with ``data``; files that lie on the server are no part of it.
 
     Parameters
@@ -115,7 +115,7 @@ def form_nodes(
     for title, entries in _LAYOUT["sections"].items():
         first, *others = [nodes.pop(name) for name in entries]
         if first.kind != "group":
-            first = Node("group", "", title, children=(first,))
+            first = FormNode("group", "", title, children=(first,))
         sections.append(replace(first, title=title, children=(*first.children, *others), is_open=_is_open(first.path)))
     return (*nodes.values(), *sections)
 
@@ -140,10 +140,10 @@ def _entries(schema: Schema, path: str) -> Iterator[tuple[str, str, Schema]]:
 # From schema and data to a form.
 
 
-def _group(schema: Schema, path: str, data: Any, begun: Any) -> tuple[Node, ...]:
+def _group(schema: Schema, path: str, data: Any, begun: Any) -> tuple[FormNode, ...]:
     data, begun = (one if isinstance(one, Mapping) else {} for one in (data, begun))
     needed = schema.get("required", ())
-    nodes: list[Node] = []
+    nodes: list[FormNode] = []
     for name, field, part in _entries(schema, path):
         node = _node(part, field, data.get(name), begun.get(name), name in needed)
         if node.kind == "group" and field.endswith((".spectrum", ".fill")):  # what is shown joins its neighbours
@@ -153,7 +153,7 @@ def _group(schema: Schema, path: str, data: Any, begun: Any) -> tuple[Node, ...]
     return tuple(nodes)
 
 
-def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool = False, title: str = "") -> Node:
+def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool = False, title: str = "") -> FormNode:
     """The part of an entry: a group, variants of which one counts, rows, or a field, with what is given.
 
     >>> _node({"title": "a", "description": "with relative_sd; None: not aot550"}, "a", None, None).hint
@@ -165,14 +165,14 @@ def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool = F
     hint = re.sub(r"\b(?:null|None)(?=:| or )", "blank", str(about or "").split("\n\n", 1)[0].replace("\n", " "))
     hint = re.sub(r"\w+", lambda word: _TITLES.get(word[0], word[0]), hint)
     is_main = bool(is_needed or _MAIN.fullmatch(path) or (value and not _ASIDE.fullmatch(path)))
-    node = Node("group", path, title or schema["title"], hint, is_needed=is_needed, is_shown=is_main)
+    node = FormNode("group", path, title or schema["title"], hint, is_needed=is_needed, is_shown=is_main)
     if kinds == ["group"]:
         children = _group(members[0], path, value, begun)
         is_shown = is_main or any(child.is_shown for child in children)
         return replace(node, children=children, is_shown=is_shown, is_open=bool(value or is_needed) and _is_open(path))
     if "group" in kinds:
         chosen, earlier = (_matching_member(members, kinds, one) for one in (value, begun))
-        variants = list[Node]()
+        variants = list[FormNode]()
         for number, (member, kind) in enumerate(zip(members, kinds, strict=True), start=1):
             held, was = value if number == chosen else None, begun if number == earlier else None
             called = _CAPITAL.sub(" ", str(member["title"])).lower() if kind == "group" else node.title
@@ -202,7 +202,7 @@ def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool = F
     )  # fmt: skip
 
 
-def _row(item: Schema, path: str, row: Any, begun: Any, is_few: bool) -> Node:
+def _row(item: Schema, path: str, row: Any, begun: Any, is_few: bool) -> FormNode:
     name = row.get("name") if isinstance(row, Mapping) else None
     title = str(name or int(path.rpartition(".")[2]) + 1)
     return replace(_node(item, path, row, begun, title=title), is_open=not row or (is_few and _is_open(path)))
@@ -350,13 +350,13 @@ def checked_scenario(data: Mapping[str, Any], uploads: Collection[str] = ()) -> 
 
     Raises
     ------
-    Refused : every mistake with its field.
+    Refusal : every mistake with its field.
     """
     mistakes = list(_name_mistakes(check_size(data), uploads))
     try:
         scenario = Scenario.model_validate(data)
     except ValidationError as error:
-        raise Refused(422, [*mistakes_of(error.errors()), *mistakes][:MAX_MISTAKES]) from error
+        raise Refusal(422, [*mistakes_of(error.errors()), *mistakes][:MAX_MISTAKES]) from error
     deny(mistakes or list(_cost_mistakes(scenario)), 422)
     return scenario
 
@@ -366,7 +366,7 @@ def check_size(data: Any, field: str = "") -> Any:
 
     Raises
     ------
-    Refused : it holds too much, at which field.
+    Refusal : it holds too much, at which field.
     """
     values = enumerate(islice(_values(data, (field,) if field else ()), _MAX_VALUES), start=1)
     many = f"with it there are more than {_MAX_VALUES:,} values"

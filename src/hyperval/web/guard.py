@@ -39,7 +39,7 @@ _HEADERS = package_table("web/answers.yaml")["headers"]
 POLICY = _HEADERS["content-security-policy"]
 
 
-class Guard:
+class RequestGuard:
     """The outermost layer of the application."""
 
     def __init__(self, app: ASGIApp, settings: ServerSettings):

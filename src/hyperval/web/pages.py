@@ -21,14 +21,14 @@ from hyperval.web.refusal import FieldMistake, deny
 from hyperval.web.store import Runs
 
 
-class Problems(BaseModel):
+class Mistakes(BaseModel):
     """Why a request was not carried out: each mistake with the dotted path of its field, empty for the whole."""
 
     errors: list[FieldMistake]
 
 
 _REFUSALS = package_table("web/answers.yaml")["refusals"].items()
-_PROBLEMS: dict[int | str, dict[str, Any]] = {c: {"model": Problems, "description": words} for c, words in _REFUSALS}
+_PROBLEMS: dict[int | str, dict[str, Any]] = {c: {"model": Mistakes, "description": words} for c, words in _REFUSALS}
 pages = APIRouter(include_in_schema=False)
 api = APIRouter(prefix="/api/v1", tags=["v1"], responses=_PROBLEMS)
 TEMPLATES = strict_templates("hyperval.web")

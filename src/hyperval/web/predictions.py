@@ -34,7 +34,7 @@ from hyperval.study.trade import KINDS, Progress, Setup, Trade, complete, notebo
 from hyperval.web.forms import (
     MAX_ROWS,
     SCENES,
-    Node,
+    FormNode,
     by_field,
     check_size,
     checked_scenario,
@@ -46,7 +46,7 @@ from hyperval.web.forms import (
     yaml_text,
 )
 from hyperval.web.pages import TEMPLATES, SentForm, api, owner_of, page, pages, store_of
-from hyperval.web.refusal import FieldMistake, Refused, deny, error_text, form_mistakes, mistakes_of
+from hyperval.web.refusal import FieldMistake, Refusal, deny, error_text, form_mistakes, mistakes_of
 from hyperval.web.runs import RunAnswer, Wait, answer_of, run, run_of
 from hyperval.web.store import Files, WebRun
 from hyperval.web.uploads import Uploads
@@ -79,7 +79,7 @@ def predict_form(request: Request, scenario: str | None = None, run: str | None 
     begun = f"run:{run}" if run is not None else scenario or "free"
     data = _FREE if begun == "free" else _initial_data(request, begun)
     if data is None:
-        raise Refused(404, [FieldMistake("scenario", "no scenario or prediction has that name")])
+        raise Refusal(404, [FieldMistake("scenario", "no scenario or prediction has that name")])
     return _form(request, data, begun)
 
 
@@ -93,7 +93,7 @@ def predict_post(request: Request, form: SentForm) -> Response:
     data = {"schema": 1} | form_data(fields)
     try:
         ordered = order_prediction(request, data)
-    except Refused as refusal:
+    except Refusal as refusal:
         return _form(request, data, begun, form_mistakes(refusal))
     store_of(request).wait(ordered, seconds=5.0)
     return RedirectResponse(f"/runs/{ordered.id}", status_code=303)
@@ -104,7 +104,7 @@ def order_prediction(request: Request, data: dict[str, Any]) -> WebRun:
 
     Raises
     ------
-    Refused : what is wrong with it, or there is no room.
+    Refusal : what is wrong with it, or there is no room.
     """
     uploads = Uploads(request)
     scenario = checked_scenario(data, uploads.names())
@@ -124,7 +124,7 @@ def _file(request: Request, name: str) -> str:
 
 def _initial_data(request: Request, begun: str) -> dict[str, Any] | None:
     """What a form began with; None where it is there no more."""
-    with suppress(Refused):
+    with suppress(Refusal):
         return dump(load_scenario(_file(request, begun)))
     return None
 
@@ -144,7 +144,7 @@ def _form(request: Request, data: dict[str, Any], begun: str = "", mistakes: Seq
     )  # fmt: skip
 
 
-def walk(nodes: Sequence[Node]) -> Iterator[Node]:
+def walk(nodes: Sequence[FormNode]) -> Iterator[FormNode]:
     """Every part of a form."""
     for node in nodes:
         yield node
@@ -202,13 +202,13 @@ def predictions(request: Request, order: PredictionOrder, wait: Wait = 10.0) -> 
     deny((order.name is None) == (order.scenario is None), 422, "give either name or scenario", "name")
     scenario = order.scenario or predefined().get(order.name or "")
     if scenario is None:
-        raise Refused(422, [FieldMistake("name", f"no predefined scenario; one of {', '.join(predefined())}")])
+        raise Refusal(422, [FieldMistake("name", f"no predefined scenario; one of {', '.join(predefined())}")])
     try:
         data = dump(with_settings(scenario, order.settings) if order.settings else scenario)
     except UsageError as error:
         if isinstance(cause := error.__cause__, ValidationError):
-            raise Refused(422, mistakes_of(cause.errors())) from error
-        raise Refused(422, [FieldMistake("settings", error_text(error)[:500])]) from error
+            raise Refusal(422, mistakes_of(cause.errors())) from error
+        raise Refusal(422, [FieldMistake("settings", error_text(error)[:500])]) from error
     return run(request, order_prediction(request, data).id, wait)
 
 
@@ -236,7 +236,7 @@ def _valid_part(request: Request, sent: QueryParams | FormData) -> tuple[Any, ..
     texts = [(name, text.strip()) for name, text in sent.multi_items() if isinstance(text, str) and text.strip()]
     try:
         return (*_build_trade(request, texts), [])
-    except Refused as refusal:
+    except Refusal as refusal:
         mistakes = form_mistakes(refusal)
         if not texts:
             raise
@@ -262,9 +262,9 @@ def _build_trade(request: Request, texts: Sequence[tuple[str, str]]) -> tuple[st
         return source, complete(trade, p), p
     except ValidationError as error:
         mistakes = mistakes_of(error.errors())
-        raise Refused(422, [replace(m, field=re.sub(r"^moved\.", "at:", m.field)) for m in mistakes]) from error
+        raise Refusal(422, [replace(m, field=re.sub(r"^moved\.", "at:", m.field)) for m in mistakes]) from error
     except UsageError as error:
-        raise Refused(422, [FieldMistake(error.where or "", error_text(error))]) from error
+        raise Refusal(422, [FieldMistake(error.where or "", error_text(error))]) from error
 
 
 @pages.get("/trade")
@@ -306,7 +306,7 @@ def trade_curve(request: Request) -> Response:
             while progress is None or progress.todo:
                 progress = Progress(*ask("trade_piece", source=source, trade=trade, before=progress))
                 yield json.dumps({"figure": progress.figure, "needed": progress.messages, "left": progress.todo}) + "\n"
-        except Refused as refusal:  # what went before is sent already
+        except Refusal as refusal:  # what went before is sent already
             yield json.dumps({"error": refusal.mistakes[0].message, "left": 0}) + "\n"
 
     return StreamingResponse(pieces(), media_type="application/x-ndjson")
@@ -342,7 +342,7 @@ def order_study(request: Request, study: StudyFile) -> WebRun:
 
     Raises
     ------
-    Refused : what is wrong with it, or there is no room.
+    Refusal : what is wrong with it, or there is no room.
     """
     uploads = Uploads(request)
     scenario = load_scenario(_source(request, study.scenario))
@@ -397,7 +397,7 @@ def _check_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...])
     for field, moves in tries:
         try:
             checked_scenario(dump(with_settings(scenario, {**study.settings, **moves})), uploads)
-        except (UsageError, Refused) as error:
+        except (UsageError, Refusal) as error:
             words = error_text(error) if isinstance(error, UsageError) else str(error)
             yield FieldMistake(field, words[:400])
             if field == "settings":  # on which the others stand

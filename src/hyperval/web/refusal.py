@@ -25,7 +25,7 @@ class FieldMistake:
     message: str
 
 
-class Refused(HTTPException):
+class Refusal(HTTPException):
     """A request that is not carried out.
 
     Parameters
@@ -51,10 +51,10 @@ def deny(wrong: object, status: int, words: str = "", field: str = "", wait: int
     (None, None)
     >>> deny([FieldMistake("name", "is missing")], 422)
     Traceback (most recent call last):
-    hyperval.web.refusal.Refused: name: is missing
+    hyperval.web.refusal.Refusal: name: is missing
     """
     if wrong:
-        raise Refused(status, [FieldMistake(field, words)] if words else cast(Sequence[FieldMistake], wrong), wait)
+        raise Refusal(status, [FieldMistake(field, words)] if words else cast(Sequence[FieldMistake], wrong), wait)
 
 
 def json_error(status: int, mistakes: Iterable[FieldMistake], headers: Mapping[str, str] | None = None) -> JSONResponse:
@@ -63,7 +63,7 @@ def json_error(status: int, mistakes: Iterable[FieldMistake], headers: Mapping[s
     return JSONResponse({"errors": [asdict(mistake) for mistake in mistakes]}, status, headers)
 
 
-def form_mistakes(refusal: Refused) -> list[FieldMistake]:
+def form_mistakes(refusal: Refusal) -> list[FieldMistake]:
     """The mistakes that a form is shown again with; a refusal for another reason is raised on."""
     if refusal.status_code != 422:
         raise refusal

@@ -21,7 +21,7 @@ from hyperval.run import provenance_of
 from hyperval.storage import sha256_of
 from hyperval.web.forms import needs
 from hyperval.web.pages import api, owner_of, page, pages, store_of
-from hyperval.web.refusal import FieldMistake, Refused, deny
+from hyperval.web.refusal import FieldMistake, Refusal, deny
 from hyperval.web.store import COLLECTION, ENDED, EVERYBODY, ServerSettings, WebRun, view_name
 
 _NAME = re.compile(r"(?:(?:figures|scores)/)?[A-Za-z0-9_-][A-Za-z0-9_.@+-]{0,120}")
@@ -266,7 +266,7 @@ def validations(request: Request, order: ValidationOrder) -> RunAnswer:
     """Run a campaign: predict, observe, compare."""
     found = known_campaigns(request).get(order.campaign)
     if found is None:
-        raise Refused(422, [FieldMistake("campaign", "this server has no campaign of that name")])
+        raise Refusal(422, [FieldMistake("campaign", "this server has no campaign of that name")])
     run = store_of(request).order(owner_of(request), "validation", found.name, found.title, path=str(found.path))
     return answer_of(request, run)
 

@@ -38,7 +38,7 @@ from hyperval.progress import set_listener
 from hyperval.report import first_screen
 from hyperval.run import Run, is_run, provenance_of
 from hyperval.storage import installed_file, size_of, write_text
-from hyperval.web.refusal import FieldMistake, Refused, deny, error_text
+from hyperval.web.refusal import FieldMistake, Refusal, deny, error_text
 
 MEGABYTE = 1_000_000
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
@@ -238,11 +238,11 @@ class Runs:
 
         Raises
         ------
-        Refused : there is none by that name, or it is another session's.
+        Refusal : there is none by that name, or it is another session's.
         """
         run = self._current(self.place(run_id)) if _ID.fullmatch(run_id) else None
         if run is None or run.owner not in (owner, EVERYBODY):
-            raise Refused(404, "there is no such run in this session")
+            raise Refusal(404, "there is no such run in this session")
         return run
 
     def visible_to(self, owner: str, kind: str | None = None) -> list[WebRun]:
@@ -311,7 +311,7 @@ class Runs:
             pool.submit(task)
         except Full:
             del self._tasks[key]
-            raise Refused(503, "as many runs wait as may; try again soon", wait=5) from None
+            raise Refusal(503, "as many runs wait as may; try again soon", wait=5) from None
 
         def ended(_: Future[Any]) -> None:
             try:
@@ -330,7 +330,7 @@ class Runs:
 
         Raises
         ------
-        Refused : 429, the session has as many runs on their way as it may; 503, the queue or the disk is full.
+        Refusal : 429, the session has as many runs on their way as it may; 503, the queue or the disk is full.
         """
         with self._changed:
             count = sum(holder == owner for holder, _ in list(self._tasks))
@@ -349,11 +349,11 @@ class Runs:
                 self._write(run)
                 pool = self.quick if kind == "prediction" else self.long
                 self._submit((owner, run.id), pool, task, partial(self._end, run, task))
-            except (OSError, Refused) as error:
+            except (OSError, Refusal) as error:
                 shutil.rmtree(place, ignore_errors=True)
-                if isinstance(error, Refused):
+                if isinstance(error, Refusal):
                     raise
-                raise Refused(503, f"nothing can be stored for now: {error.strerror}", wait=60) from error
+                raise Refusal(503, f"nothing can be stored for now: {error.strerror}", wait=60) from error
         return run
 
     def _end(self, run: WebRun, task: WorkerTask) -> None:
@@ -390,14 +390,14 @@ class Runs:
 
         Raises
         ------
-        Refused : it cannot be made, or the run has no results.
+        Refusal : it cannot be made, or the run has no results.
         """
         deny(run.state != "finished", 409, f"this run has no results: {run.reason or run.state}")
         place, version = self.place(run.id), hyperval.__version__
         if (place / name).exists():
             return place / name
         if task in ("files", "draw") and run.version != version:  # the scenario would give other numbers
-            raise Refused(409, f"the run was made by version {run.version}, and this is {version}: run it again")
+            raise Refusal(409, f"the run was made by version {run.version}, and this is {version}: run it again")
         with self._changed:
             job = self._tasks.get((run.id, name)) or WorkerTask(task, {"folder": str(place), **arguments})
             if (run.id, name) not in self._tasks:
@@ -414,7 +414,7 @@ class Runs:
 
         Raises
         ------
-        Refused : it failed, or the queue is full.
+        Refusal : it failed, or the queue is full.
         """
         job = WorkerTask(task, arguments)
         self._submit(("", job), self.quick, job)
@@ -424,9 +424,9 @@ class Runs:
         try:
             return task.future.result(seconds)
         except TimeoutError:
-            raise Refused(503, "the server is busy; try again soon", wait=5) from None
+            raise Refusal(503, "the server is busy; try again soon", wait=5) from None
         except TaskFailed as error:
-            raise Refused(422 if field else 409, [FieldMistake(field, str(error))]) from error
+            raise Refusal(422 if field else 409, [FieldMistake(field, str(error))]) from error
 
     def close(self) -> None:
         """End the workers."""

@@ -28,7 +28,7 @@ from hyperval.sensor.specification import library_names
 from hyperval.storage import whole_file
 from hyperval.web.forms import by_field
 from hyperval.web.pages import SentForm, api, owner_of, page, pages
-from hyperval.web.refusal import FieldMistake, Refused, deny, form_mistakes, mistakes_of, redact
+from hyperval.web.refusal import FieldMistake, Refusal, deny, form_mistakes, mistakes_of, redact
 from hyperval.web.runs import RunAnswer, answer_of
 from hyperval.web.store import WebRun
 
@@ -89,7 +89,7 @@ class Uploads:
         if not _NAME.fullmatch(name) or len(name.encode()) > 240:  # most file systems take 255 bytes
             odd = "".join(dict.fromkeys(c for c in name if c.isprintable() and not re.match(r"[\w .@+()-]", c)))
             words = f"not a name for a file kept here{f', for its {odd}' if odd else ''}: {_NAME_WORDS}"
-            raise Refused(422, [FieldMistake(field, words)])
+            raise Refusal(422, [FieldMistake(field, words)])
         with whole_file(place / name) as part:
             with part.open("wb") as out:
                 shutil.copyfileobj(file.file, out)
@@ -113,10 +113,10 @@ class Uploads:
         if field == "sensors":
             try:
                 self._state.runs.ask("sensor", field, name_or_path=str(path))
-            except Refused as refusal:
+            except Refusal as refusal:
                 words = form_mistakes(refusal)[0].message.replace(path.name, name)
                 mistake = FieldMistake("sensors", words if words.startswith(name) else f"{name}: {words}")
-                raise Refused(422, [mistake]) from refusal
+                raise Refusal(422, [mistake]) from refusal
 
     def _data_file(self, field: str, name: str) -> Path:
         """A file of the data folder that a form names."""
@@ -126,7 +126,7 @@ class Uploads:
                 path = checked_file(data / name, root=data)
                 self._check(field, path.name, path)
                 return path
-        raise Refused(422, [FieldMistake(f"{field}_named", "the data folder of this server has no such file")])
+        raise Refusal(422, [FieldMistake(f"{field}_named", "the data folder of this server has no such file")])
 
 
 class StatedCollection(BaseModel):
@@ -170,7 +170,7 @@ def uploads_page(request: Request, form: SentForm) -> Response:
     """Take files: a cube runs through the empirical pipeline, spectra and sensor files are kept."""
     try:
         taken = take_files(request, form)
-    except Refused as refusal:
+    except Refusal as refusal:
         fields = {name: value for name, value in form.items() if isinstance(value, str)}
         return _page(request, fields, form_mistakes(refusal))
     return RedirectResponse(f"/runs/{taken.id}" if isinstance(taken, WebRun) else "/bring", status_code=303)
@@ -191,7 +191,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
 
     Raises
     ------
-    Refused : what is wrong with them, or there is no room; what was right is kept none the less.
+    Refusal : what is wrong with them, or there is no room; what was right is kept none the less.
     """
     uploads, state, mistakes = Uploads(request), request.app.state, list[FieldMistake]()
     files: dict[str, tuple[str, Path]] = {}  # name in the collection -> its field, and where it is
@@ -200,7 +200,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
         fields.add(field)
         try:
             path = find()
-        except Refused as refusal:
+        except Refusal as refusal:
             mistakes += refusal.mistakes
             continue
         if files.setdefault(path.name, (field, path)) != (field, path):
