@@ -24,8 +24,7 @@ def inputs(s: Scenario) -> dict[str, model.UncertainInput]:
 def test_every_input_of_the_scene_is_there_moves_something_and_can_be_drawn_with_the_others():
     s = scenario(EVERYTHING)
     found = inputs(s)
-    kinds = {i.kind for i in found.values()}
-    assert kinds == {"atmosphere", "surface", "sensor", "scene", "engine"}
+    assert {i.kind for i in found.values()} == {"atmosphere", "surface", "sensor", "scene", "engine"}
     base = run(s.model_copy(update={"uncertainty": Uncertainty()}))
     plain = s.model_copy(update={"uncertainty": Uncertainty()})
     blind = {"solar azimuth", "view zenith angle", "sensor altitude", "ground height"}  # to the stand-in engine
@@ -53,8 +52,7 @@ def test_directions_give_back_the_covariance_of_each_form():
     for name, (form, expected) in cases.items():
         rows = model.error_rows(sd, form, AXIS)
         np.testing.assert_allclose(rows.T @ rows, expected, atol=1e-5 * expected.max(), err_msg=name)
-        norms = (rows**2).sum(axis=1)
-        assert np.all(np.diff(norms) <= 1e-15) or name == "random"
+        assert np.all(np.diff((rows**2).sum(axis=1)) <= 1e-15) or name == "random"
     assert model.covariance_directions(np.zeros((3, 3))).shape == (0, 3)
     # Less than a millionth of the variance is left out, and no more directions are followed than that needs.
     rows = model.covariance_directions(np.diag([1.0, 1e-3, 1e-5, 1e-7, 1e-9]))
@@ -140,8 +138,7 @@ def test_a_library_at_the_labelled_bands_moves_with_a_shift_and_is_not_smoothed(
 
 def test_numbers_stop_at_the_ends_of_their_range_and_reflectance_at_nothing():
     def far_below(path: str):
-        item = model.number_input(WORLD, "x", "scene", path, 1.0)
-        return item.perturbation_along(0, -1e6)[path]
+        return model.number_input(WORLD, "x", "scene", path, 1.0).perturbation_along(0, -1e6)[path]
 
     assert far_below("atmosphere.aot550") == 0.0
     assert far_below("sensor.noise") == pytest.approx(1e-3)

@@ -160,8 +160,7 @@ def test_ace_of_a_population_is_the_mean_over_its_pixels_whatever_others_there_a
 def test_ace_sees_the_same_pixels(dof, host):
     # 400,000 pixels and 4,000 draws of the model: within 4.5 standard deviations of both (its error as stated).
     components, n, rng = two_clusters(dof if host == "grass" else np.inf), 400_000, np.random.default_rng(12)
-    of = scene("{fixed: 0.03}", dof if host == "asphalt" else "null", "ace", host)
-    made, there = run(of, components)
+    made, there = run(scene("{fixed: 0.03}", dof if host == "asphalt" else "null", "ace", host), components)
     curve, ground = made.roc["tenth", "ace", "pixel"], there.stated.surfaces
     names, fractions = ("grass", "asphalt"), (0.7, 0.3)
     mean = sum(f * ground[k].mean for f, k in zip(fractions, names, strict=True))

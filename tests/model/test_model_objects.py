@@ -63,6 +63,21 @@ def test_what_is_uncertain_moves_a_whole_row_by_as_much_as_draws_of_it_do():
         assert np.sqrt(found) == pytest.approx(np.sqrt(expected), rel=0.15), key
 
 
+def test_objects_are_drawn_where_errors_shift_their_scores_by_much_of_their_spread():
+    """As the same draws of the budget give them one by one; along its directions they spread 8 to 14 % too far."""
+    errors = {"uncertainty.field_spectra": [{"subject": "grass", "relative": 0.1, "correlation": "random"}]}
+    unlit = load_scenario("green-planks-grass").model_copy(update={"atmosphere": None})
+    scenario = with_settings(unlit, errors)
+    made = model.predict(scenario, ON_TEN, objects=True, object_curves=False)
+    truths = model.draw_truths(model.uncertain_inputs(model.read_world(scenario, ON_TEN)), 400, 0)
+    drawn = list(model.predictions(scenario, truths, ON_TEN, objects=1600, object_curves=False))
+    assert any("scores of objects from 400 draws of the budget" in note for note in made.notes)
+    for key, scores in made.object_scores.items():
+        expected = np.array([one.object_scores[key].values[0] for one in drawn])
+        assert [scores.values.mean(), scores.values.std()] == pytest.approx([expected.mean(), expected.std()], rel=0.02)
+        assert abs(np.corrcoef(scores.values[:2])[0, 1]) < 0.4  # a row has other objects than the next
+
+
 def test_a_neighbour_spreads_the_score_in_place_of_the_host():
     # Along the grid and without blur 0.4 x 0.4 of the pixel is plank, 0.25 x 0.8 the neighbour, the rest the host.
     changes = {f"{target}.covariance": {"builtin": "grass"} for target in (PLANK, OTHER)}
@@ -77,13 +92,15 @@ def test_a_neighbour_spreads_the_score_in_place_of_the_host():
 
 def test_each_of_several_truths_has_the_objects_of_its_own_scene():
     # The first truth of a batch once lent its fills to all others.
-    scenario = scenario_of((0, 0), (0, 1.0))
+    scenario = scenario_of((0, 0), (0, 1.0), {"uncertainty.position_m": 0.3})
     world = model.read_world(scenario, ON_TEN)
     moves = [("fill.square", 0.2), ("surfaces.other.mean", 0.1), ("surfaces.grass.mean", 0.1)]
     more, brighter, greener = ({path: model.value_at(world, path)[0] + step} for path, step in moves)
     blurred = {"scene.targets.plank.subjects.[square].fill.geometry.psf_fwhm_pixels": 3.0}
     truths = [{}, more, blurred, brighter, greener]
     together = list(model.predictions(scenario, truths, ON_TEN, objects=300))
+    for key, scores in model.predict(scenario, ON_TEN, objects=300).object_scores.items():
+        assert together[0].object_scores[key].values == pytest.approx(scores.values, abs=1e-9)  # at places as uncertain
     for truth, one in zip(truths, together, strict=True):
         (alone,) = model.predictions(scenario, [truth], ON_TEN, objects=300)
         for key, scores in alone.object_scores.items():

@@ -46,8 +46,7 @@ def test_small_errors_agree_both_ways_and_keep_the_linear_intervals(both):
             assert row["sd_ratio"] == pytest.approx(1.0, abs=0.185), row
         if row["key"][0] == "score mean":
             assert both.scores[row["key"][1:]].mean_error == pytest.approx(row["drawn_sd"], rel=0.185, abs=1e-12)
-    linear = run(with_method("linear"))
-    np.testing.assert_array_equal(both.roc[KEY].pd_lower, linear.roc[KEY].pd_lower)
+    np.testing.assert_array_equal(both.roc[KEY].pd_lower, run(with_method("linear")).roc[KEY].pd_lower)
     assert any("300 draws of the budget (seed 0)" in n for n in both.notes)
     assert any("engine runs" in n for n in both.notes)
 

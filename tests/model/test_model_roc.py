@@ -99,8 +99,7 @@ def test_false_alarms_at_a_detection_are_those_of_the_threshold_that_gives_it(fi
 def test_evaluations_without_scores_have_no_threshold():
     background = model.ClassScores(*(np.array([a, a]) for a in (FRACTION, MEAN, SD, DOF)))
     background.mean[1, 0] = np.nan
-    target = [np.array([a, a]) for a in (MEANS, SDS, WEIGHTS)]
-    made = model.RocScores(background, np.array([0, 1]), *target)
+    made = model.RocScores(background, np.array([0, 1]), *[np.array([a, a]) for a in (MEANS, SDS, WEIGHTS)])
     threshold = made.thresholds(np.array([[1e-2, 1e-1]]))
     assert np.isfinite(threshold[0]).all()
     assert np.isnan(threshold[1]).all()

@@ -265,8 +265,7 @@ def class_features(laws: Sequence[ClassLaw], components: int | None) -> Array:
     size = laws[0].mean.size
     if components is None:
         return np.eye(size)
-    means = np.stack([law.mean for law in laws])
-    between = np.cov(means.T, bias=True).reshape(size, size)
+    between = np.cov(np.transpose([law.mean for law in laws]), bias=True).reshape(size, size)
     return principal_components(np.mean([law.covariance for law in laws], axis=0) + between, components)
 
 
@@ -394,8 +393,7 @@ def _drawn_objects(
     if item.relative_uncertainty > 0:
         sd = item.relative_uncertainty * spectrum
         shape = band_correlation(stated.axis.select(index), item.correlation_nm)
-        error = ClassLaw(np.zeros(index.size), _full_rank(np.outer(sd, sd) * shape))
-        material += error.draw(draws, rng)[:, None]
+        material += ClassLaw(np.zeros(index.size), _full_rank(np.outer(sd, sd) * shape)).draw(draws, rng)[:, None]
     backgrounds = law.mean + (law.draw(draws, rng) - law.mean) / np.sqrt(max(item.ring, 1))
     endmembers = np.stack([np.broadcast_to(spectrum, backgrounds.shape), backgrounds], axis=1)
     material -= background

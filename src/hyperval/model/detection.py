@@ -510,8 +510,7 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
 
     def spread_of(surface: Array, d_b: Array, noise: Array) -> Array:
         """(F, F) of pixels of a surface, from that of its reflectance, D_B / k and its noise (3.11-3.21)."""
-        spread = surface * np.outer(slope, slope) + surroundings * np.outer(d_b, d_b)
-        return np.asarray(spread + np.diag(noise))
+        return surface * np.outer(slope, slope) + surroundings * np.outer(d_b, d_b) + np.diag(noise)
 
     def p_above(
         mean: Array, covariance: Array, dof: float, stream: Sequence[int], decades: Sequence[float],

@@ -23,7 +23,7 @@ from hyperval.model import radiance
 from hyperval.model.detection import Evaluation, RocKey, class_scores, detect, evaluations
 from hyperval.model.inputs import UncertainInput, draw_truths, inputs_of_spectra, spectrum_errors, uncertain_inputs
 from hyperval.model.intervals import Z95, jackknife_directions
-from hyperval.model.objects import Shares, expected_scores, object_scores, shares_of
+from hyperval.model.objects import ROWS, Shares, expected_scores, object_scores, shares_of
 from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, log_false_alarm, probit
 from hyperval.model.stated import Origins, Stated, Truth, state_value
 from hyperval.model.world import World, find_path, group_by_files, read_world, with_truths
@@ -41,9 +41,10 @@ DRAWN_SHIFT = 1.0  # standard deviations: beyond, even parts of directions moved
 _SHIFT = 0.3  # standard deviations by which a mean may be off: 95 % intervals then cover 94 %, and fewer beyond
 _PROBIT_ROUNDING = 1e-6  # of a probit: below it a change is rounding
 _INNER_PROBIT = 3.0  # shifts are measured within +- this probit of P_D
+_EVERY = 16  # of ROWS objects that all truths share each draw of the budget takes every 16th, its neighbours others
 
 
-def with_pd_limits(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes]) -> dict[RocKey, RocCurve]:
+def with_pd_limits(roc: Mapping[RocKey, RocCurve], changes: Mapping[Any, Changes]) -> dict[RocKey, RocCurve]:
     """The curves with 95 % intervals of P_D from drawn curves.
 
     Each draw moves the curve along all directions of all inputs at once, by multiples of its change, in probit, for
@@ -66,7 +67,7 @@ def with_pd_limits(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Chan
     """
     curves = dict(roc)
     for key, (plus, minus) in changes.items():
-        if not (np.any(plus) or np.any(minus)):
+        if key not in roc or not (np.any(plus) or np.any(minus)):
             continue
         curve, z = roc[key], probit(roc[key].pd)
         size = (plus**2 + minus**2) @ np.exp(-(z**2))  # of the change of P_D
@@ -81,15 +82,16 @@ def with_pd_limits(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Chan
     return curves
 
 
-def mean_shifts(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes]) -> dict[RocKey, float]:
-    """Greatest shift of the mean of a curve by its errors to second order, in standard deviations of its probit.
+def mean_shifts(roc: Mapping[RocKey, RocCurve], changes: Mapping[Any, Changes]) -> dict[Any, float]:
+    """Greatest shift of the mean of a curve by its errors to second order, in standard deviations of its probit, and
+    likewise of the mean of a score.
 
     Half the sum of the changes up and down, over all directions, is the shift of the mean of draws from the stated
     curve if the effects of directions add up; it limits the validity of one evaluation up and down of each.
     """
     shifts = {}
     for key, (plus, minus) in changes.items():
-        in_range = np.abs(probit(roc[key].pd)) < _INNER_PROBIT
+        in_range = np.abs(probit(roc[key].pd)) < _INNER_PROBIT if key in roc else np.True_
         sd = np.sqrt(((0.5 * (plus - minus)) ** 2).sum(axis=0))
         shown = in_range & (sd > _PROBIT_ROUNDING)
         if shown.any():
@@ -97,15 +99,15 @@ def mean_shifts(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes
     return shifts
 
 
-def shift_notes(shifts: Mapping[RocKey, float], drawn: Collection[RocKey], samples: int) -> list[str]:
-    """Notes on intervals that shifts of the mean make approximate, and on those drawn for that reason."""
+def shift_notes(shifts: Mapping[Any, float], drawn: Collection[Any], samples: int) -> list[str]:
+    """Notes on intervals and scores of objects that shifts of the mean make approximate, and on those drawn."""
     named = {key: f"{' '.join(key)} ({shift:.2g})" for key, shift in shifts.items() if shift > _SHIFT}
     by_draws, rough = (", ".join(named[key] for key in named if (key in drawn) is wanted) for wanted in (True, False))
     texts = {
-        f"P_D intervals from {samples} draws of the budget, as errors shift the mean by more than its standard "
-        f"deviation, or would if each acted alone: {by_draws}": by_draws,
-        "the errors shift the mean of P_D (in standard deviations of its probit, at most), which its interval "
-        f"holds roughly: {rough}; draw the budget for more: uncertainty: {{method: both}}": rough,
+        f"P_D intervals and scores of objects from {samples} draws of the budget, as errors shift the mean (by so many "
+        f"standard deviations, if each acted alone): {by_draws}": by_draws,
+        "the errors shift the mean of P_D (in standard deviations of its probit, at most) or of scores, which its "
+        f"interval holds roughly: {rough}; draw the budget for more: uncertainty: {{method: both}}": rough,
     }
     return [words for words, curves in texts.items() if curves]
 
@@ -220,8 +222,14 @@ def product_values(p: PredictedProducts) -> dict[Key, Array]:
 
 
 def product_table(predictions: Iterable[PredictedProducts]) -> dict[Key, Array]:
-    """(N, n) :func:`product_values` of N predictions, and P_D of curves under ("curve", subject, detector, unit)."""
-    rows = [product_values(p) | {("curve", *key): curve.pd for key, curve in p.roc.items()} for p in predictions]
+    """(N, n) :func:`product_values` of N predictions, P_D of curves under ("curve", subject, detector, unit), and those
+    of objects, others in each prediction, under ("object", subject, detector).
+    """
+    rows = [
+        product_values(p) | {("curve", *key): curve.pd for key, curve in p.roc.items()}
+        | {("object", *key): scores.values[0, n % _EVERY :: _EVERY] for key, scores in p.object_scores.items()}
+        for n, p in enumerate(predictions)
+    ]  # fmt: skip
     return {key: np.array([row[key] for row in rows]) for key in rows[0]}
 
 
@@ -349,37 +357,38 @@ def with_intervals(
 
 
 def with_uncertainty(
-    products: PredictedProducts, world: World, inputs: Sequence[UncertainInput], changes: Mapping[RocKey, Changes]
+    products: PredictedProducts, world: World, inputs: Sequence[UncertainInput], changes: Mapping[Any, Changes]
 ) -> PredictedProducts:
-    """The prediction of a world with the intervals of its curves: from its directions, or from draws of its inputs.
+    """The prediction of a world with the intervals of its curves, and with scores of its objects: from its directions,
+    or from draws of its inputs.
 
     Parameters
     ----------
-    inputs : drawn where the scenario has draws, or where errors shift the mean of P_D by so much that the effects of
-        directions do not add up
-    changes : of probit P_D, as :func:`with_pd_limits` takes them
+    inputs : drawn where the scenario has draws, or where errors shift the mean of P_D, or of a score, by so much
+        that the effects of directions do not add up
+    changes : of probit P_D, as :func:`with_pd_limits` takes them, and of the mean score of objects' pixels
     """
     stated, u = world.stated, world.stated.scenario.uncertainty
-    shifts, drawn = mean_shifts(products.roc, changes), dict[RocKey, Array]()
+    shifts, table, everything = mean_shifts(products.roc, changes), dict[Key, Array](), u.method != "linear"
     nonlinear = [key for key, shift in shifts.items() if shift > DRAWN_SHIFT]
-    if draws := bool(inputs) and (bool(nonlinear) or u.method != "linear"):
+    if inputs and (nonlinear or everything):
         star_world, cost = interpolated_world(world, inputs)
         truths = track(draw_truths(inputs, u.samples, u.seed), "draws of the budget")
-        if u.method == "linear":  # these curves alone are drawn
-            with_objects = any(unit == "object" for *_, unit in nonlinear)
-            rocs = [p.roc for p in _predictions(star_world, truths, object_curves=with_objects, spectra=False)]
-            drawn = {key: np.array([roc[key].pd for roc in rocs]) for key in nonlinear}
+        objects, curves = bool(products.object_scores), everything or any(key[-1] == "object" for key in nonlinear)
+        table = product_table(_predictions(star_world, truths, objects * ROWS, curves, everything))
+    drawn = {key: table["curve", *key] for key in nonlinear if ("curve", *key) in table and not everything}
     roc: dict[RocKey, RocCurve] = with_pd_limits(products.roc, changes)
-    roc |= {key: drawn_curve(products.roc[key], interval_limits(curves)) for key, curves in drawn.items()}
+    roc |= {key: drawn_curve(products.roc[key], interval_limits(pd)) for key, pd in drawn.items()}
     filters = {p.name: stated.targets[t].name for t, _, p in stated.populations}
     for (population, detector, unit), curve in roc.items():
         alarms = products.exceedance.get((filters[population], detector))
         if alarms is not None and np.any(alarms.upper > alarms.probability):
             roc[population, detector, unit] = with_law_limits(curve, alarms)
-    limited = replace(products, roc=roc, notes=(*products.notes, *shift_notes(shifts, drawn, u.samples)))
-    if not draws or u.method == "linear":
-        return limited
-    return with_intervals(limited, star_world, inputs, product_table(_predictions(star_world, truths)), cost)
+    stated_scores = products.object_scores if table else {}
+    scores = {key: replace(one, values=table["object", *key]) for key, one in stated_scores.items()}
+    notes = (*products.notes, *shift_notes(shifts, {*drawn, *scores}, u.samples))
+    limited = replace(products, roc=roc, object_scores=scores or products.object_scores, notes=notes)
+    return with_intervals(limited, star_world, inputs, table, cost) if everything and inputs else limited
 
 
 def _widened(estimate: SpectralEstimate, sd: Array) -> SpectralEstimate:
@@ -754,12 +763,12 @@ def predictions(
 def _predictions(
     world: World, truths: Iterable[Truth], objects: bool | int = False, object_curves: bool = True, spectra: bool = True
 ) -> Iterator[PredictedProducts]:
-    certain = world.stated.scenario.model_copy(update={"uncertainty": Uncertainty()})
-    world = replace(world, stated=replace(world.stated, scenario=certain, cache={}))
-    remaining, errors = iter(truths), spectrum_errors(uncertain_inputs(world))
+    position = world.stated.scenario.uncertainty.position_m  # in which each object differs, whatever the truth
+    certain = world.stated.scenario.model_copy(update={"uncertainty": Uncertainty(position_m=position)})
+    world, remaining = replace(world, stated=replace(world.stated, scenario=certain, cache={})), iter(truths)
     while batch := list(islice(remaining, _BATCH)):
         by_number: dict[int, PredictedProducts] = {}
-        for index, e in evaluations(with_truths(world, batch), errors):
+        for index, e in evaluations(with_truths(world, batch)):
             of_spectra = [spectral_prediction(e, u, None) for u in range(len(e) if spectra else 0)]
             detected = detect(e, object_curves=object_curves, densities=False, points=range(len(e)), spectra=of_spectra)
             for u, (number, prediction) in enumerate(zip(index.tolist(), detected, strict=True)):
@@ -774,9 +783,9 @@ def _predictions(
 def _prediction(
     world: World, of_spectra: SpectralErrors, inputs: Sequence[UncertainInput], objects: bool | int,
     object_curves: bool, origins: Origins, truth: Truth,
-) -> tuple[PredictedProducts, dict[RocKey, Changes]]:  # fmt: skip
-    """One truth, and the changes of probit P_D by one standard uncertainty up and down, for each direction of each
-    input; of the targets' field spectra for the one along their filter.
+) -> tuple[PredictedProducts, dict[Any, Changes]]:  # fmt: skip
+    """One truth, and the changes of probit P_D, and of the mean score of objects' pixels, by one standard uncertainty
+    up and down, for each direction of each input; of the targets' field spectra for the one along their filter.
 
     Errors of scores are to second order, as haze is not linear in visibility.
 
@@ -797,8 +806,7 @@ def _prediction(
     scene = [i for i in inputs if not (is_lit and i.is_light) and (i.subject in stated.classes or i.kind != "surface")]
     scene.sort(key=lambda i: not i.subject)
     light_moves, scene_moves = ([(i, k) for i in group for k in range(i.size)] for group in (light, scene))
-    filter_direction = [None] if any(t.name in errors for t in stated.targets) else []
-    moves = [*light_moves, *filter_direction, *scene_moves]
+    moves = [*light_moves, *([None] if any(t.name in errors for t in stated.targets) else []), *scene_moves]
     signed = [(move, z) for z in (1.0, -1.0) for move in moves]
     truths = [{}, *({} if move is None else move[0].perturbation_along(move[1], z) for move, z in signed)]
     worlds = with_truths(world, truths)
@@ -812,13 +820,14 @@ def _prediction(
             scores = object_scores(worlds, parts, np.arange(worlds.size), None if objects is True else objects)
             prediction = replace(prediction, object_scores=scores, expected_scores=expected_scores(e))
         prediction = with_law_errors(prediction, e, origins, truth)
-    z = joined(((index, part.probits) for index, part in parts), worlds.size)
+    z: dict[Any, Array] = joined(((index, part.probits) for index, part in parts), worlds.size)
     plus, minus = slice(1, len(moves) + 1), slice(len(moves) + 1, None)
     moments = dict(prediction.scores)
     for key, x in joined(((index, part.moments) for index, part in parts if moves), worlds.size).items():
         odd, even = x[plus] - x[minus], x[plus] + x[minus] - 2.0 * x[0]
         mean, sd = np.sqrt((0.25 * odd**2 + 0.5 * even**2).sum(axis=0)).tolist()  # JCGM 100:2008, 5.1.2, note
         moments[key] = replace(moments[key], mean_error=mean, sd_error=sd / max(moments[key].sd, 1e-300))
+        z |= {key: x[:, :1]} if key in prediction.object_scores else {}
     return replace(prediction, scores=moments), {key: (x[plus] - x[0], x[minus] - x[0]) for key, x in z.items()}
 
 

@@ -63,7 +63,7 @@ def input_draws(e: Evaluation, steps: int) -> InputDraws:
     steps : directions of inputs besides the spectra of targets
     """
     rows = {t.name: e.errors[t.name][:, e.bands] for t in e.targets if t.name in e.errors}
-    if not (steps or rows or e.scenario.uncertainty.position_m):
+    if not (steps or rows):
         return InputDraws({}, np.zeros((1, 0)))
     rng = np.random.default_rng([e.scenario.processing.seed, 7])
     spectra = {name: _normal_draws(rng, error_rows.T @ error_rows) for name, error_rows in rows.items()}
@@ -159,8 +159,7 @@ def object_scores(world: World, parts: Parts, truths: Index, draws: int | None =
         for name, noise in zip(linear, numbers.noise, strict=True):
             response = response_nodes(parts, number, name, number)[:, truths]
             full = [response_nodes(parts, number, name, o)[:, truths, -1] for o in neighbours]
-            host_score = response[:, :1, 0]
-            host = e.host(number, name, truths[:1], numbers.host_share.reshape(1, -1), *host_score)
+            host = e.host(number, name, truths[:1], numbers.host_share.reshape(1, -1), *response[:, :1, 0])
             # The same scores in two truths have the same draws.
             sources = [response, *full, *(() if host is None else vars(host.laws).values())]
             key = repr((arguments, [subjects[w] for w in fills])), name, b"".join(a.tobytes() for a in sources)

@@ -472,8 +472,7 @@ def _terms_in_memory(
 ) -> AtmosphericTerms:  # fmt: skip
     """Terms at bands, cached, as engines are deterministic functions of state, files and bands."""
     axis = SpectralAxis(np.frombuffer(centre_nm), np.frombuffer(fwhm_nm))
-    terms = engine(state, cache_dir=cache_dir, near=base)
-    return _with_notes(terms.at_bands(axis), state)
+    return _with_notes(engine(state, cache_dir=cache_dir, near=base).at_bands(axis), state)
 
 
 def _with_notes(terms: AtmosphericTerms, state: AtmosphericState) -> AtmosphericTerms:
