@@ -82,8 +82,7 @@ def test_every_detector_makes_its_maps_and_curves(world):
     for name in pixels.DETECTORS:
         found = seen.detected.score_maps["rx" if name == "rx" else f"paint-{name}"]
         detector = pixels.pixel_detector(name, world.on_bands(), mean, covariance, corner[None])
-        expected = detector.score(world.values, whitener)
-        assert found == pytest.approx(expected, rel=1e-8, abs=1e-9)
+        assert found == pytest.approx(detector.score(world.values, whitener), rel=1e-8, abs=1e-9)
     units = {(detector, unit) for _, detector, unit in seen.observation.roc}
     assert units == {(d, u) for d in pixels.DETECTORS for u in ("pixel", "object")}
 
@@ -208,8 +207,7 @@ def test_a_halo_scores_background_and_objects_alike(world):
     background = scores[guarded & ~halos]
     assert (other.n_target, other.n_background) == (2, background.size)
     at = np.flatnonzero(np.abs(other.pfa - 0.1) < 1e-9)[0]
-    threshold = np.sort(background)[::-1][round(0.1 * background.size)]
-    assert other.pd[at] == np.mean(each > threshold)
+    assert other.pd[at] == np.mean(each > np.sort(background)[::-1][round(0.1 * background.size)])
     both = [(i, j) for i, p in enumerate(curve.pfa) for j in np.flatnonzero(np.isclose(other.pfa, p, rtol=1e-9))]
     assert len(both) > 20
     assert all(other.pd[j] >= curve.pd[i] for i, j in both)  # a false alarm has fewer chances: it favours detection
@@ -284,6 +282,22 @@ def test_invalid_pixels_have_no_score_and_count_nowhere(world):
     counted = [observation.scores[name, "cem"].n for name in ("fill 0.3", background_of("fill 0.3"))]
     # The ground that was looked at is that of pixels with a score, of 2 m.
     assert [*counted, curve.n_target, curve.background_area_km2] == [2, n, 2, pytest.approx(4e-6 * n)]
+
+
+def test_an_object_that_lacks_a_pixel_counts_as_none_and_is_named(world):
+    """By its remaining eight pixels, of ground, one of 0.30 scored 0.004 beside a prediction made for all nine."""
+    world.text("targets.csv", target_rows(PLANTED, side_m=4.0))
+    world.detection |= {"pools": [{"name": "all", "subjects": list(FILLS)}], "detectors": ["cem", "ace"]}
+    for at in ((20, 20), (10, 10), (10, 20)):  # one of three objects, and both
+        world.values[at] = np.nan
+    world.write()
+    seen = world.observe()
+    found, best = seen.observation, seen.detected.score_maps["paint-cem"][19:22, 9:12].max()
+    assert found.object_scores["fill 0.3", "cem"].values[:2] == pytest.approx([best, np.nan], nan_ok=True)
+    assert ("fill 0.8", "cem", "object") not in found.roc
+    counted = ("fill 0.3", "object"), ("all", "object"), ("all", "pixel")
+    assert [found.roc[name, "cem", unit].n_target for name, unit in counted] == [2, 2, 9 * 5 - 3]
+    assert [note[-12:] for note in found.notes if "lack the score of a pixel" in note] == [": t0, t1, t3"]
 
 
 def test_two_spectra_of_one_material(world):

@@ -340,7 +340,7 @@ def joined_prediction(
     curves, observed, detection = dict(whole.roc), side.observed.observation.roc, side.campaign.detection
     for pool in detection.pools if detection is not None else ():
         for name, detector, unit in observed:
-            keys = [(subject, detector, unit) for subject in pool.subjects]
+            keys = [key for subject in pool.subjects if (key := (subject, detector, unit)) in observed]
             if name == pool.name and all(key in whole.roc for key in keys):
                 counts = [observed[key].n_target or 0 for key in keys]
                 curves[name, detector, unit] = average_roc([whole.roc[key] for key in keys], counts)

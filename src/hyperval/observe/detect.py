@@ -150,10 +150,10 @@ def detect(place: Place, detection: Detection, resolve: Resolve) -> Detected:
         notes.append(_anomaly_note(place, name, scores, curve, noise.scores.size))
     _add_pools(curves.products["roc"], detection)
     notes += [said(rule) for rule in ("halo_pixels", "first_detection") if getattr(detection, rule)]
+    notes += [said("incomplete", names=", ".join(curves.incomplete))] if curves.incomplete else []
     areas, nominal = target_areas(place, detection, maps)
     outlines = {key: TargetMasks({t.name: t for t in members}) for key, members in outlined.items()}
-    products = curves.products | {"abundance": areas}
-    return Detected(bank, maps, outlines, products, nominal, (*bank.notes, *notes))
+    return Detected(bank, maps, outlines, curves.products | {"abundance": areas}, nominal, (*bank.notes, *notes))
 
 
 def _target_spectra(place: Place, detection: Detection, resolve: Resolve) -> dict[str, Array]:
@@ -268,6 +268,7 @@ class _Curves:
         self.place, self.detection, self.bank = place, detection, bank
         self.alarms = place.pixels_of(*detection.false_alarms)
         self.products: dict[str, dict[Any, Any]] = {k: {} for k in ("scores", "roc", "object_scores", "exceedance")}
+        self.incomplete: dict[str, None] = {}  # names of objects that lack the score of a pixel
 
     def background_scores(self, scores: Array, subject: str, detector: str) -> px.AlarmBlocks:
         """The scores of the background with their places; their exceedance curve is a product."""
@@ -305,7 +306,8 @@ class _Curves:
         """Moments of the subject's pixels, and its curves by pixel and by object.
 
         An object has the greatest score over its pixels and the halo around them.  Without a halo a false alarm is a
-        background pixel.  With one it is a placement of an object's footprint on the background, a maximum over as
+        background pixel, and an object that lacks the score of a pixel does not count, as predictions are of whole
+        objects.  With one it is a placement of an object's footprint on the background, a maximum over as
         many pixels as on the object; objects of one shape share placements.  Or it is every pixel outside the halos,
         as the MUUFL Gulfport collection is scored (Bullwinkle): that favours detection, a maximum over the halo's
         pixels against single pixels.
@@ -316,7 +318,9 @@ class _Curves:
         refuse(not np.isfinite(pixels).any(), "detection.no_pixel", subject=subject)
         self.products["scores"][subject, detector] = _score_moments(pixels[np.isfinite(pixels)])
         by_object = px.object_scores(scores, scored, halo)
-        greatest = np.array(list(by_object.values()))
+        lacking = [o.name for o in scored if not (halo or np.isfinite(scores[o.window][o.part]).all())]
+        greatest = np.where(np.isin(list(by_object), lacking), np.nan, list(by_object.values()))
+        self.incomplete |= dict.fromkeys(lacking)
         # The area searched is that of pixels with a score.
         populations = {"pixel": (pixels, noise, noise.scores.size), "object": (greatest, noise, noise.scores.size)}
         if halo:
@@ -327,7 +331,8 @@ class _Curves:
         else:  # the model has no halo
             self.products["object_scores"][subject, detector] = ObjectScores(greatest, tuple(by_object))
         for name, (values, background, count) in populations.items():
-            finite = values[np.isfinite(values)]
+            if not (finite := values[np.isfinite(values)]).size:
+                continue
             unit: Literal["pixel", "object"] = "pixel" if name == "pixel" else "object"
             km2 = None if area is None else count * area / 1e6
             curve = px.empirical_roc(finite, background, unit=unit, background_area_km2=km2)
@@ -361,10 +366,11 @@ def _add_pools(roc: dict[Any, Any], detection: Detection) -> None:
     for pool in detection.pools:
         refuse(any(pool.name == subject for subject, _, _ in roc), "pool.name", name=pool.name)
         for detector in detection.detectors:
+            if lacking := [s for s in pool.subjects if (s, detector, "pixel") not in roc]:
+                raise UsageError(f"pool {pool.name!r}: no curve of {', '.join(lacking)}")
             for unit in ("pixel", "object"):
-                if lacking := [s for s in pool.subjects if (s, detector, unit) not in roc]:
-                    raise UsageError(f"pool {pool.name!r}: no curve of {', '.join(lacking)}")
-                roc[pool.name, detector, unit] = px.pooled_roc([roc[s, detector, unit] for s in pool.subjects])
+                if curves := [roc[s, detector, unit] for s in pool.subjects if (s, detector, unit) in roc]:
+                    roc[pool.name, detector, unit] = px.pooled_roc(curves)
 
 
 def _score_moments(values: Array) -> ScoreDistribution:
@@ -557,8 +563,7 @@ def _draw_footprints(
     footprint, size = np.pad(target.part, task.ring_pixels), target.part.shape
     ring_mask = (ndimage.distance_transform_edt(~footprint) <= task.ring_pixels) & ~footprint
     inner, ring = (np.argwhere(mask) - task.ring_pixels for mask in (footprint, ring_mask))  # from the corner on
-    fits = ndimage.binary_erosion(region, target.part, origin=(-(size[0] // 2), -(size[1] // 2)))
-    choices = np.argwhere(fits)
+    choices = np.argwhere(ndimage.binary_erosion(region, target.part, origin=(-(size[0] // 2), -(size[1] // 2))))
     corners = [np.array(target.corner), *choices[rng.choice(len(choices), min(PLACES, len(choices)), replace=False)]]
     parts: list[Index] = []
     for corner in corners:
