@@ -117,8 +117,7 @@ def test_dependent_pixels_and_heavy_tails_widen_the_band():
         row = rows_of(estimate(truth()), sample(3000), **more)["eigenvalue_ratio@1"]
         return row.upper - row.lower
 
-    few = PixelDistribution(n=3000, effective_n=np.full(6, 300.0))
-    assert width(observed_distribution=few) > 2.0 * width()
+    assert width(observed_distribution=PixelDistribution(n=3000, effective_n=np.full(6, 300.0))) > 2.0 * width()
     assert width(predicted_distribution=PixelDistribution(tail_dof=5.0)) > 1.3 * width()
     assert width(predicted_distribution=PixelDistribution()) == width()  # without a law: the normal one
     refused = rows_of(estimate(truth()), sample(3000), predicted_distribution=PixelDistribution(tail_dof=4.0))

@@ -292,8 +292,7 @@ def test_equivalent_different_or_undecided():
         (0.3, 0.2, -1.0, "different"),
     ):
         observed = curve(PFA, 0.6, half, n_target=80, n_background=100_000)
-        rows = roc(curve(PFA, predicted), observed, equivalence_margin=0.15)
-        told = rows["pd_equivalence@1e-2"]
+        told = roc(curve(PFA, predicted), observed, equivalence_margin=0.15)["pd_equivalence@1e-2"]
         assert (told.value, told.reason) == (code, f"{word} by a margin 0.15")
 
 
@@ -305,8 +304,7 @@ def test_both_readings_are_reported_where_they_differ():
         x = model.thresholds_at(PFA[None], classes)[0]
         preset = model.greatest_class_false_alarm(x, classes.rows(np.zeros(x.size, int)))
         pd = norm.sf((x - 0.6) / 0.15)
-        measured = curve(PFA, pd, 0.05, n_target=300, n_background=100_000)
-        rows = roc(curve(PFA, pd, preset_pfa=preset), measured)
+        rows = roc(curve(PFA, pd, preset_pfa=preset), curve(PFA, pd, 0.05, n_target=300, n_background=100_000))
         assert any("preset" in metric for metric in rows) == told  # with one class both are the same
         if told:  # by hand: the longest tail is that of the second class, x = 0.1 + 0.2 Phi^-1(1 - P)
             by_hand = norm.sf((0.1 + 0.2 * norm.isf(1e-2) - 0.6) / 0.15)

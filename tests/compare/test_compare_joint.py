@@ -25,8 +25,7 @@ def both(
         rough = unstated * np.repeat(draw(B), 5)[:B]  # not from band to band
         moved = (1 + offset) * level * np.exp((shared * light + own * draw(2)) @ SMOOTH + rough)
         rows = {"aerosol": Errors(shared * moved * SMOOTH, draw=day), "field spectrum": Errors(own * moved * SMOOTH)}
-        covariance = sum(e.covariance for e in rows.values())
-        predicted[name + day] = SpectralEstimate(moved, covariance, errors=rows)
+        predicted[name + day] = SpectralEstimate(moved, sum(e.covariance for e in rows.values()), errors=rows)
         every, own_noise = np.diag((calibration * level) ** 2), np.diag((noise * level) ** 2)
         seen = level * (1 + calibration * gain) + noise * level * draw(B)
         measured[name + day] = SpectralEstimate(

@@ -40,8 +40,7 @@ def background_spread() -> np.ndarray:
 
 def reflectances() -> np.ndarray:
     """(LINES, SAMPLES, BANDS) background draws with the targets mixed in."""
-    rng = np.random.default_rng(5)
-    scene = rng.multivariate_normal(BACKGROUND, background_spread(), (LINES, SAMPLES))
+    scene = np.random.default_rng(5).multivariate_normal(BACKGROUND, background_spread(), (LINES, SAMPLES))
     for (line, sample), fill in PLANTED.items():
         scene[line, sample] = fill * TARGET + (1.0 - fill) * scene[line, sample]
     return scene
@@ -134,8 +133,7 @@ class World:
     def observe(self, **options: Any) -> Observed:
         """Run the pipeline on the settings as they stand."""
         detection = None if self.detection is None else Detection.model_validate(self.detection)
-        collection = CollectionSection.model_validate(self.collection)
-        return observe(collection, detection, self.resolve, **options)
+        return observe(CollectionSection.model_validate(self.collection), detection, self.resolve, **options)
 
 
 @dataclass

@@ -92,8 +92,7 @@ def test_replicate_spectra_of_a_panel_widen_the_line(make_radiance):
         made.world.library(f"white{i}.csv", white=level)
     before = made.world.observe().observation.reflectance["corner"].budget["empirical line"]
     made.panels[0]["spectrum"] = {"replicates": {"files": "white?.csv", "wavelength_unit": "nm"}}
-    after = made.world.observe().observation.reflectance["corner"].budget["empirical line"]
-    assert np.all(after > before)
+    assert np.all(made.world.observe().observation.reflectance["corner"].budget["empirical line"] > before)
     made.panels[0]["divisor"] = "spread"
     assert np.diag(made.world.observe().place.line.panels[0].reflectance_error) == pytest.approx(np.full(BANDS, 0.0009))
 
@@ -308,8 +307,7 @@ def test_what_is_read_back_is_the_reflectance_to_half_a_step(measured, tmp_path,
     assert np.isnan(block.values[..., 3]).all()
     assert np.isnan(block.values[tuple(OUTSIDE)]).all()
     assert np.isnan(block.values[tuple(FILL)]).all()
-    difference = np.abs(block.values - made.reflectance)[block.valid][:, elm.usable]
-    assert difference.max() <= 0.5 / SCALE * (1 + 1e-9)
+    assert np.abs(block.values - made.reflectance)[block.valid][:, elm.usable].max() <= 0.5 / SCALE * (1 + 1e-9)
     assert "1 bands without a gain; 6 values of good bands beyond 3.2767" in note
     with rasterio.open(path) as dataset:
         assert dataset.nodata == NO_DATA
@@ -365,15 +363,13 @@ def test_no_line_or_no_radiance_is_refused(measured, world, tmp_path):
 
 def test_the_command_writes_it_and_refuses_a_campaign_without_a_line(small, tmp_path, capsys):
     out, other = tmp_path / "out", tmp_path / "other"
-    path = small.write()
-    assert cli.run(["-q", "observe", str(path), "-o", str(out), "--write-reflectance", "envi"]) == 0
+    assert cli.run(["-q", "observe", str(small.write()), "-o", str(out), "--write-reflectance", "envi"]) == 0
     assert {p.name for p in (out / "reflectance").iterdir()} == {"reflectance.img", "reflectance.hdr"}
     found = open_cube(out / "reflectance" / "reflectance.img", quantity="reflectance")
     assert 0.0 < np.nanmean(found.read(0, 5).values) < 0.8
     assert "reflectance.img: reflectance by the empirical line" in (out / "report.html").read_text()
     del small.data["collection"]["empirical_line"]
-    code = cli.run(["-q", "observe", str(small.write()), "-o", str(other), "--write-reflectance", "cog"])
-    assert code == 2
+    assert cli.run(["-q", "observe", str(small.write()), "-o", str(other), "--write-reflectance", "cog"]) == 2
     assert "there is no empirical line" in capsys.readouterr().err
     assert not other.exists()
 

@@ -74,8 +74,7 @@ def test_a_table_of_bands_stands_for_a_header_without_wavelengths(world):
 
 
 def test_a_single_pixel_gives_a_mean_and_no_spread(make_radiance):
-    made = make_radiance()
-    world = made.world
+    world = make_radiance().world
     world.collection["regions"].append({"name": "dot", "rectangle": [4, 7, 1, 1]})
     world.collection["calibration"] = {"relative": 0.03}
     seen = world.observe()

@@ -49,8 +49,7 @@ def test_the_pages_campaign_runs_from_the_delivered_folder(tmp_path):
     values, collection = delivered(tmp_path), yaml.safe_load(BLOCKS[0])["collection"]
 
     def observed(**more):
-        section = CollectionSection.model_validate(collection | more)
-        return observe(section, None, tmp_path.joinpath).observation
+        return observe(CollectionSection.model_validate(collection | more), None, tmp_path.joinpath).observation
 
     found = observed()
     want = values[:, 4:16, 4:16].reshape(BANDS, -1).mean(axis=1)

@@ -30,8 +30,7 @@ def test_preset_false_alarm_rate_by_brute_force(target, background, pfa):
     best = 1.0 if pfa == 1.0 else max(allowed)
     assert found.pd[0] == pytest.approx(best, abs=1e-15)
     assert found.alarms[0] <= pfa * len(background) + 1e-9
-    low = mid_p_limits(round(found.pd[0] * len(target)), len(target))[0]
-    assert found.pd_lower[0] <= low or pfa == 1.0
+    assert found.pd_lower[0] <= mid_p_limits(round(found.pd[0] * len(target)), len(target))[0] or pfa == 1.0
     assert found.pd_lower[0] <= found.pd[0] <= found.pd_upper[0]
 
 
@@ -164,8 +163,7 @@ def test_an_area_whose_background_is_few_blocks_is_known_by_their_part_of_the_va
 
 def test_a_share_that_is_a_whole_number_of_targets_is_not_rounded_up():
     # 0.07 * 100 is 7.000000000000001 in floating point: the 7th target and not the 8th.
-    t = np.arange(100.0)
-    (found,) = pixels.alarms_at_detection(t, [-1.0, 50.0], [0.07])
+    (found,) = pixels.alarms_at_detection(np.arange(100.0), [-1.0, 50.0], [0.07])
     assert found.threshold == 93.0
 
 

@@ -106,8 +106,7 @@ def test_scores_equal_the_long_way_round(tmp_path, monkeypatch, interleave):
             assert found[name].shape == (LINES, SAMPLES)
             assert np.isnan(found[name][4, 4])  # never a score of 0
             assert np.isfinite(found[name]).sum() == LINES * SAMPLES - 1
-            expected = detector.score(rho[valid], whitener)
-            assert found[name][valid] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+            assert found[name][valid] == pytest.approx(detector.score(rho[valid], whitener), rel=1e-9, abs=1e-9)
     also = pixels.score_cube(cube, {"cem": detectors["cem"]}, elm, bands, needed=np.ones(BANDS, bool))["cem"]
     assert np.isnan(also[5, 5])
 
@@ -167,8 +166,7 @@ def test_every_detector_equals_its_definition_with_the_mean_of_its_own_window(dr
 
 @pytest.mark.parametrize("halo", [0, 1, 4])
 def test_an_object_in_its_window_scores_as_in_the_whole_image(halo):
-    rng = np.random.default_rng(0)
-    scores = rng.normal(size=(9, 12))
+    scores = np.random.default_rng(0).normal(size=(9, 12))
     for line, sample, part in ((0, 0, [[1, 0], [1, 1]]), (7, 9, [[0, 1, 1], [1, 0, 0]]), (4, 5, [[1]])):
         part = np.array(part, bool)
         mask = np.zeros(scores.shape, bool)

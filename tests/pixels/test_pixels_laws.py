@@ -59,8 +59,7 @@ def test_no_other_scale_or_degrees_of_freedom_are_as_likely(nu):
 
 
 def test_dependent_pixels_widen_the_limits():
-    rng = np.random.default_rng(6)
-    d = distances(drawn(3000, 5, 8.0, rng))
+    d = distances(drawn(3000, 5, 8.0, np.random.default_rng(6)))
     every = pixels.fit_tail_dof(d, 5, estimated_on=3000)
     few = pixels.fit_tail_dof(d, 5, estimated_on=3000, independent=300)
     assert few.dof == pytest.approx(every.dof, rel=1e-3)
@@ -68,8 +67,7 @@ def test_dependent_pixels_widen_the_limits():
 
 
 def test_exceedance_is_that_of_pixels():
-    rng = np.random.default_rng(7)
-    z = drawn(200_000, 4, 6.0, rng) / np.geomspace(3.0, 0.1, 4)
+    z = drawn(200_000, 4, 6.0, np.random.default_rng(7)) / np.geomspace(3.0, 0.1, 4)
     far = np.sum(z**2, axis=1)
     at = np.array([2.0, 10.0, 40.0])
     share = (far[:, None] > at).mean(axis=0)
@@ -157,8 +155,7 @@ def test_components_in_all_bands_have_the_moments_of_their_clusters(tails):
     # five of these.
     values, which = clusters(3000, 8)
     rng = np.random.default_rng(8)
-    into = rng.normal(size=(2, 12))
-    sample = 0.3 + 0.05 * values @ into + rng.normal(scale=0.002, size=(3000, 12))
+    sample = 0.3 + 0.05 * values @ rng.normal(size=(2, 12)) + rng.normal(scale=0.002, size=(3000, 12))
     mixture = pixels.class_mixture(sample, np.arange(3000) // 100, "auto", tails=tails)
     assert mixture is not None
     parts = mixture.components(sample)

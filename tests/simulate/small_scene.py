@@ -62,8 +62,7 @@ def planks(**changes: Any) -> dict[str, Any]:
 
 def scene_data(**changes: Any) -> dict[str, Any]:
     """Plain data of a small scene, as a YAML file would hold it."""
-    data = yaml.safe_load((Path(__file__).parent / "scene.yaml").read_text())
-    return data | changes
+    return yaml.safe_load((Path(__file__).parent / "scene.yaml").read_text()) | changes
 
 
 def small_scene(**changes: Any) -> SceneFile:

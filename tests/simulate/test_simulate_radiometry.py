@@ -58,8 +58,7 @@ def test_digital_numbers_are_whole_and_the_rounding_is_uniform():
     lsb = 0.05  # two and a half times the shot noise of 0.02: the rounding shows
     found = measured(quiet(lsb_electrons=5000.0 * lsb), 2.0)
     assert np.max(np.abs(found / lsb - np.rint(found / lsb))) < 1e-3
-    rng = np.random.default_rng(3)
-    raw = rng.poisson(2.0 * 5000.0, N * BANDS) / 5000.0
+    raw = np.random.default_rng(3).poisson(2.0 * 5000.0, N * BANDS) / 5000.0
     assert_same_spread(found, np.rint(raw / lsb) * lsb)
 
 
@@ -74,13 +73,11 @@ def test_relative_calibration_error_scales_with_the_signal_and_is_independent_fr
 def test_bit_errors_flip_the_expected_share_by_powers_of_two():
     rate, bits, lsb = 1e-3, 8, 0.05
     common = {"electrons_per_radiance": 1e12, "lsb_electrons": 1e12 * lsb, "bits": bits}
-    found = measured(quiet(bit_error_rate=rate, **common), 100 * lsb)
-    steps = np.rint(found / lsb - 100).astype(int)
+    steps = np.rint(measured(quiet(bit_error_rate=rate, **common), 100 * lsb) / lsb - 100).astype(int)
     share = 1 - (1 - rate) ** bits
     assert np.mean(steps != 0) == pytest.approx(share, abs=5 * np.sqrt(share / steps.size))
     # 100 = 0b01100100: set bits fall, clear bits rise.
-    rng = np.random.default_rng(4)
-    words = 100 ^ (rng.random((N * 4, bits)) < rate) @ (1 << np.arange(bits))
+    words = 100 ^ (np.random.default_rng(4).random((N * 4, bits)) < rate) @ (1 << np.arange(bits))
     assert_same_spread(steps, words - 100)
 
 
@@ -91,8 +88,7 @@ def test_radiance_is_the_sum_over_all_bounces_between_ground_and_sky():
     # Light that has bounced n times carries another factor (S rho_ave)^n.
     bounces = sum((t.spherical_albedo * average) ** n for n in range(40))
     expected = t.path_radiance + (t.direct * rho + t.adjacency * average) * bounces
-    found = detector(INPUTS, average, 1000.0).radiance(rho[None, :])[0]
-    assert np.allclose(found, expected, rtol=1e-6)
+    assert np.allclose(detector(INPUTS, average, 1000.0).radiance(rho[None, :])[0], expected, rtol=1e-6)
 
 
 def test_full_scale_limits_the_numbers_and_is_counted():

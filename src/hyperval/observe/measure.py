@@ -569,8 +569,7 @@ def class_errors(place: Place, masks: Labels, task: Classification) -> dict[tupl
 
 def class_sets(task: Classification) -> list[tuple[str, ...]]:
     """All classes together, and every pair of them where the campaign asks for pairs."""
-    pairs = combinations(task.classes, 2) if task.pairs and len(task.classes) > 2 else ()
-    return [tuple(task.classes), *pairs]
+    return [tuple(task.classes), *(combinations(task.classes, 2) if task.pairs and len(task.classes) > 2 else ())]
 
 
 def training_pixels(task: Classification, laws: Mapping[str, PixelDistribution], masks: Labels) -> dict[str, float]:

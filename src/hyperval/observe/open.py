@@ -522,8 +522,7 @@ def window_fills(cells: Array | Mask, grid: FinerGrid, corner: tuple[int, int], 
     fills = np.empty((len(grid.shifts), *size))
     for k, (dy, dx) in enumerate(grid.shifts):
         w_y = aperture_weights(y + dy, corner[0], size[0], grid.blur[0])
-        w_x = aperture_weights(x + dx, corner[1], size[1], grid.blur[1])
-        fills[k] = w_y @ part @ w_x.T
+        fills[k] = w_y @ part @ aperture_weights(x + dx, corner[1], size[1], grid.blur[1]).T
     return np.clip(fills, 0.0, 1.0)
 
 

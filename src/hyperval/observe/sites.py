@@ -203,8 +203,7 @@ def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
     """
     notes = [f"empirical line through {', '.join(elm.names)}: usable in {int(elm.usable.sum())} bands"]
     if not elm.usable.all():
-        unusable = ", ".join(f"{w:.4g}" for w in axis.centre_nm[~elm.usable])
-        notes[0] += f"; no gain at {unusable} nm"
+        notes[0] += f"; no gain at {', '.join(f'{w:.4g}' for w in axis.centre_nm[~elm.usable])} nm"
     if (elm.usable & elm.good).any() and (left_out := _leave_one_out_errors(elm)):
         parts = []
         for name, errors in left_out.items():

@@ -122,8 +122,7 @@ def _write_cog(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterato
                     dataset.units = ["1"] * cube.bands
                     for i in range(cube.bands):
                         centre, width = float(axis.centre_nm[i]), float(axis.fwhm_nm[i])
-                        mark = "" if axis.good[i] else " (bad band)"
-                        dataset.set_band_description(i + 1, f"{centre:.10g} nm{mark}")
+                        dataset.set_band_description(i + 1, f"{centre:.10g} nm{'' if axis.good[i] else ' (bad band)'}")
                         dataset.update_tags(
                             i + 1, ns="IMAGERY", CENTRAL_WAVELENGTH_UM=repr(centre / 1e3), FWHM_UM=repr(width / 1e3)
                         )
