@@ -401,11 +401,11 @@ class Draft:
         >>> of = lambda name, level: FieldSpectrum(name, np.array([500.0, 600.0]), np.array([1.0, 2.0]) * level)
         >>> draft = Draft(StarterSources(Path()), Path(), None, "")
         >>> files = {"turf/s1": 0.2, "turf/s2": 0.21, "lot/s1": 0.3, "lot/s2": 0.31, "DryClay1": 0.1, "DryClay2": 0.1}
-        >>> files["single/lot"] = 0.3  # goes before the mean of a folder
+        >>> files["lot_edge"] = 0.3  # goes before the mean of a folder
         >>> draft.spectra = [RecordedSpectrum(Path(f).name, {"file": f}, of(f, level)) for f, level in files.items()]
         >>> [draft.find_spectrum(name).source for name in ("turf", "dry", "lot")]
         [{'replicates': {'files': ['turf/s1', 'turf/s2']}}, {'replicates': {'files': ['DryClay1', 'DryClay2']}},
-        {'file': 'single/lot'}]
+        {'file': 'lot_edge'}]
         >>> draft.collection, draft.content = {"cube": {}}, {"turf": draft.find_spectrum("turf").source}
         >>> draft._note_unused()
         >>> draft.guesses["scenarios", "scene"].rpartition(": ")[2]
