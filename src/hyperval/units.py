@@ -44,6 +44,9 @@ def to_internal(unit: str, quantity: str) -> float:
     >>> to_internal("percent", "radiance")
     Traceback (most recent call last):
     hyperval.errors.UsageError: unknown radiance unit 'percent'...scale: 0.01
+    >>> to_internal("%", "radiance")
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: unknown radiance unit '%'...scale: 0.01
 
     Raises
     ------

@@ -401,9 +401,15 @@ class Draft:
         >>> of = lambda name, level: FieldSpectrum(name, np.array([500.0, 600.0]), np.array([1.0, 2.0]) * level)
         >>> draft = Draft(StarterSources(Path()), Path(), None, "")
         >>> files = {"turf/s1": 0.2, "turf/s2": 0.21, "lot/s1": 0.3, "lot/s2": 0.31, "DryClay1": 0.1, "DryClay2": 0.1}
+        >>> files["lot_edge"] = 0.3  # goes before the mean of a folder
         >>> draft.spectra = [RecordedSpectrum(Path(f).name, {"file": f}, of(f, level)) for f, level in files.items()]
-        >>> [draft.find_spectrum(name).source["replicates"] for name in ("turf", "dry")]
-        [{'files': ['turf/s1', 'turf/s2']}, {'files': ['DryClay1', 'DryClay2']}]
+        >>> [draft.find_spectrum(name).source for name in ("turf", "dry", "lot")]
+        [{'replicates': {'files': ['turf/s1', 'turf/s2']}}, {'replicates': {'files': ['DryClay1', 'DryClay2']}},
+        {'file': 'lot_edge'}]
+        >>> draft.collection, draft.content = {"cube": {}}, {"turf": draft.find_spectrum("turf").source}
+        >>> draft._note_unused()
+        >>> draft.guesses["scenarios", "scene"].rpartition(": ")[2]
+        'turf'
         """
         numbered = grouped(self.spectra, lambda one: re.sub(r"[0-9]+(?=[^0-9]*$)", "#", _parted(one.name)))
         folders = grouped(self.spectra, lambda one: Path(one.source["file"]).parent.name)

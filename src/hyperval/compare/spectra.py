@@ -341,7 +341,12 @@ def covariance_dof(parts: Sequence[tuple[Array, float]]) -> float:
 
 
 def whitening(covariance: npt.ArrayLike, estimated: Sequence[EstimatedPart] = ()) -> Whitening:
-    """Directions of :func:`chi_square_full` for a covariance (B, B) and the parts of it that were estimated."""
+    """Directions of :func:`chi_square_full` for a covariance (B, B) and the parts of it that were estimated.
+
+    >>> of_two_pixels = np.outer([1.0, 0.0, 2.0], [1.0, 0.0, 2.0])  # which are alike in the second band
+    >>> whitening(of_two_pixels, [EstimatedPart(of_two_pixels, 1.0)]).transform.round(6).tolist()
+    [[0.5, 0.0, 0.25]]
+    """
     stated = np.asarray(covariance, dtype=float)
     fixed = stated - sum((p.covariance for p in estimated), np.zeros_like(stated))
     parts = [(p, p.covariance if p.model is None else p.model) for p in estimated]

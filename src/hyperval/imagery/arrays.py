@@ -177,7 +177,7 @@ def _fields(name: str, value: Any) -> Iterator[tuple[str, Numbers]]:
         for field_name in value.dtype.names:
             yield from _fields(f"{name}/{field_name}", np.asarray(value[field_name].flat[0]))
     elif value.dtype.kind == "O" and all(np.asarray(v).dtype.kind == "U" for v in value.flat):  # a cell of texts
-        yield name, np.array(["".join(np.ravel(v)) for v in value.flat], str)
+        yield name, np.array(["".join(np.ravel(v)).replace(",", ";") for v in value.flat], str)  # commas part them
     elif value.dtype.kind in "iufbcU":
         yield name, value
 
@@ -701,11 +701,12 @@ def open_matrix(
     ...     (opened := open_matrix(path, "MATLAB 5")).transform.to_gdal(), opened.crs.to_epsg()
     ((7.0, 1.0, 0.0, 12.0, 0.0, -1.0), 32616)
 
-    >>> held["sceneLabels"] = {"labels": [[-1, 1, 2], [1, 1, 3]], "Names": np.array(["oak", "lot", "sea"], "O")}
+    >>> names, held["flown"] = np.array(["oak", "lot, car", "sea"], "O"), np.array(["by day", "at noon"], "O")
+    >>> held["sceneLabels"] = {"labels": [[-1, 1, 2], [1, 1, 3]], "Names": names}
     >>> with TemporaryDirectory() as folder:
     ...     scipy.io.savemat(path := Path(folder) / "hsi.mat", {"hsi": held})
     ...     open_matrix(path, "MATLAB 5", plane=(2, 3)).description.entries
-    {'class names': 'unclassified, oak, lot, sea'}
+    {'class names': 'unclassified, oak, lot; car, sea'}
 
     >>> with TemporaryDirectory() as folder:
     ...     scipy.io.savemat(path := Path(folder) / "cube.mat", {"data": np.ones((2, 3, 4)), "map": np.ones((2, 3))})

@@ -165,9 +165,9 @@ class ImageGrid:
 
         Lines below 0 are those of a GIS, which shows an image without a place upside down: the first from 0 to -1.
 
-        >>> drawn = geometry_of({"type": "Point", "coordinates": [1.5, -2.5]}, "a drawing of QGIS")
+        >>> drawn = geometry_of({"type": "MultiPoint", "coordinates": [[1.5, 0.0], [1.5, -2.5]]}, "a drawing of QGIS")
         >>> ImageGrid((9, 9), coordinates="pixel").place(drawn, None, "a drawing of QGIS").wkt
-        'POINT (1.5 2.5)'
+        'MULTIPOINT ((1.5 0), (1.5 2.5))'
 
         Raises
         ------

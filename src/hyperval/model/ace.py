@@ -21,8 +21,8 @@ from hyperval.data import Array
 from hyperval.errors import refuse
 from hyperval.model.filters import PositiveDefinite
 
-# Scores at which probabilities are evaluated: even in atanh of the cosine, which spreads both ends.
 _BLOCK = 20_000  # draws times scores at once: what a cache holds
+# Scores at which probabilities are evaluated: even in atanh of the cosine, which spreads both ends.
 _SCORES = np.tanh(np.linspace(1e-3, 4.0, 240)) ** 2
 
 

@@ -529,7 +529,14 @@ class RocScores:
         return thresholds_at(np.broadcast_to(pfa, (len(self.classes.mean), pfa.shape[1])), self.classes)[self.which]
 
     def detection_above(self, thresholds: Array) -> Array:
-        """P_D (n, K) above ``thresholds`` (n, K) (3.31), once for evaluations with equal scores."""
+        """P_D (n, K) above ``thresholds`` (n, K) (3.31), once for evaluations with equal scores.
+
+        >>> one, dof = np.ones((2, 1)), np.array([[np.inf], [4.0]])  # the host of the second has tails
+        >>> classes = ClassScores(one, 0.0 * one, one, dof)
+        >>> host = Host(0.5 * one, np.zeros(2), np.ones(2), classes)
+        >>> RocScores(classes, np.arange(2), one, one, one, host).detection_above(4.0 * one).round(6).tolist()
+        [[0.00135], [0.002176]]
+        """
         first, group = unique([self.means, self.sds, self.weights, self.which, thresholds], self.which.size)
         pd, subset, x = np.empty((first.size, thresholds.shape[1])), self.rows(first), thresholds[first]
         normal = np.ones(first.size, dtype=bool) if subset.host is None else subset.host.is_normal

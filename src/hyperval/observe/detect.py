@@ -444,17 +444,19 @@ def _area_from_sums(place: Place, objects: Iterable[ObjectSum], nominal: float |
 
     >>> from types import SimpleNamespace
     >>> place, on_lawn = SimpleNamespace(pixel_area_m2=2.0), [-0.1, 0.0, 0.1]
-    >>> def error(size):
-    ...     on_gravel = [(total, 9, on_lawn, size) for total in (1.3, 0.7, 1.0, 1.0)]
+    >>> def error(*sizes):
+    ...     on_gravel = [(total, 9, on_lawn, size) for total, size in zip((1.3, 0.7, 1.0, 1.0), sizes, strict=True)]
     ...     return round(_area_from_sums(place, on_gravel).standard_uncertainty, 3)
-    >>> error(math.nan), error(2.0)
-    (0.1, 0.245)
+    >>> error(2.0, 2.0, 2.0, 2.0), error(5.2, 2.8, 4.0, 4.0)  # sums that go by size, and are half of it
+    (0.245, 0.1)
+    >>> error(2.0, 2.0, 2.0, math.nan), error(0.0, 0.0, 0.0, 0.0)  # where sizes are not known, the background alone
+    (0.1, 0.1)
     """
     totals, pixels, elsewhere, sizes = zip(*objects, strict=True)
-    n, scale = len(totals), needed(place.pixel_area_m2, "areas.ground") / len(totals)
+    n, size, scale = len(totals), sum(sizes), needed(place.pixel_area_m2, "areas.ground") / len(totals)
     variance = sum(float(np.var(sums, ddof=1)) if len(sums) > 1 else math.nan for sums in elsewhere)
     # About what is due to their sizes: a detector that is off by a factor is not an error of single objects.
-    among = n * np.var(totals - np.multiply(sizes, sum(totals) / sum(sizes)), ddof=1) if n > 1 else math.nan
+    among = n * np.var(totals - np.multiply(sizes, sum(totals) / size), ddof=1) if n > 1 and size > 0 else math.nan
     return Abundance(sum(totals) * scale, math.sqrt(np.fmax(variance, among)) * scale, sum(pixels), nominal)
 
 

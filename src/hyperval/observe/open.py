@@ -311,9 +311,14 @@ def read_band_table(path: Path, table: BandTableFile) -> SpectralAxis:
     >>> with TemporaryDirectory() as folder:
     ...     _ = (path := Path(folder) / "bands.csv").write_text("Band,Wavelength\\n1,0.41\\n2,0.42\\n3,0.44\\n")
     ...     read_band_table(path, BandTableFile(path="", wavelength_unit="um", centre_column=1)).centre_nm
-    ...     read_band_table(path, BandTableFile(path="", wavelength_unit="um"))
-    Traceback (most recent call last):
-    hyperval.errors.InputError: ...bands.csv: not a table of bands: column 0 holds 1 to 3 um...centre_column...
+    ...     for column, unit in ((0, "um"), (1, "nm")):
+    ...         try:
+    ...             read_band_table(path, BandTableFile(path="", wavelength_unit=unit, centre_column=column))
+    ...         except InputError as error:
+    ...             print(error.what)
+    array([410., 420., 440.])
+    not a table of bands: column 0 holds 1 to 3 um
+    not a table of bands: column 1 holds 0.41 to 0.44 nm
 
     Raises
     ------
@@ -323,7 +328,7 @@ def read_band_table(path: Path, table: BandTableFile) -> SpectralAxis:
     rows, first_row = number_rows(path, "table of bands")
     refuse(rows.shape[1] <= last_column, "rows.columns", f"{path}:{first_row}", shape=rows.shape, least=last_column + 1)
     stored, factor = rows[:, table.centre_column], to_internal(table.wavelength_unit, "wavelength")
-    centre, numbers = stored * factor, stored[0] in (0.0, 1.0) and np.all(np.diff(stored) == 1.0)
+    centre, numbers = stored * factor, stored[0] == 1.0 and np.all(np.diff(stored) == 1.0)
     refuse(numbers or not plausible(centre), "rows.bands", path, least=stored.min(), most=stored.max(), table=table)
     try:
         fwhm = fwhm_from_spacing(centre)[0] if table.fwhm_column is None else rows[:, table.fwhm_column] * factor
