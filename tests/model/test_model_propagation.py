@@ -12,6 +12,7 @@ from uncertain_scene import ATMOSPHERE, AXIS, ORIGINS, run, scenario
 from hyperval import model
 from hyperval.products import background_of
 from hyperval.scenario import Scenario, Uncertainty
+from hyperval.settings import with_settings
 from hyperval.spectra import SpectralAxis
 
 KEY = ("tenth", "cem", "pixel")
@@ -208,17 +209,16 @@ def test_a_prediction_says_where_errors_shift_detection_by_much_of_their_spread(
     s = coarse(f"uncertainty: {{field_spectra: [{{subject: grass, relative: {relative}, correlation: random}}]}}\n")
     notes = [note for note in model.predict(s, BANDS).notes if "shift the mean" in note]
     assert [says in note for note in notes] == ([] if says is None else [True])
+    drawn = with_settings(s, {"uncertainty.method": "both", "uncertainty.samples": 40})
+    assert not any("draw the budget for more" in note for note in model.predict(drawn, BANDS).notes)
 
 
 @pytest.mark.slow
 def test_an_interval_whose_directions_do_not_add_up_is_that_of_draws():
     """Even parts of 80 directions, each moved alone, add up to several times what all do at once."""
     entry = "field_spectra: [{{subject: grass, relative: 0.05, correlation_nm: 10}}], method: {}"
-    origins = replace(BANDS, axis=ROUGH)
     by = {
-        method: model.predict(coarse(f"uncertainty: {{{entry.format(method)}}}\n"), origins).roc[
-            "tenth", "cem", "pixel"
-        ]
+        method: model.predict(coarse(f"uncertainty: {{{entry.format(method)}}}\n"), replace(BANDS, axis=ROUGH)).roc[KEY]
         for method in ("linear", "monte-carlo")
     }
     for end in ("pd_lower", "pd_upper"):

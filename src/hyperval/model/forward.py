@@ -386,7 +386,7 @@ def with_uncertainty(
             roc[population, detector, unit] = with_law_limits(curve, alarms)
     stated_scores = products.object_scores if table else {}
     scores = {key: replace(one, values=table["object", *key]) for key, one in stated_scores.items()}
-    notes = (*products.notes, *shift_notes(shifts, {*drawn, *scores}, u.samples))
+    notes = (*products.notes, *shift_notes({} if everything else shifts, {*drawn, *scores}, u.samples))
     limited = replace(products, roc=roc, object_scores=scores or products.object_scores, notes=notes)
     return with_intervals(limited, star_world, inputs, table, cost) if everything and inputs else limited
 
