@@ -28,8 +28,7 @@ def test_refused_by_the_name_of_the_field(changes, named):
 
 
 def test_read_from_strict_yaml_with_the_time_as_text_and_without_keys_that_are_gone(tmp_path):
-    text = "\n".join(f"{k}: {v}" for k, v in PLACE.items())
-    data, lines = parse_yaml(text, "state.yaml")
+    data, lines = parse_yaml("\n".join(f"{k}: {v}" for k, v in PLACE.items()), "state.yaml")
     assert validate(AtmosphericState, data, lines, "state.yaml").time_utc == "2017-11-08T18:42:27Z"
     data["sensor_altitude_km"] = -1.0
     with pytest.raises(UsageError, match=r"state\.yaml:2: sensor_altitude_km"):

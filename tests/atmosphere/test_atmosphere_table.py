@@ -116,8 +116,7 @@ def test_single_scattering_is_met_exactly_between_two_amounts_of_aerosol(tau, se
 
 @pytest.mark.parametrize(("low", "high", "sensor", "parts"), CASES["path_error"])
 def test_error_of_the_path_is_none_at_nodes_and_grows_with_their_ratio(low, high, sensor, parts):
-    nodes = np.array([low, high])
-    error = [between.path_error(nodes, t, GROUND, sensor) for t in np.linspace(low, high, 81)]
+    error = [between.path_error(np.array([low, high]), t, GROUND, sensor) for t in np.linspace(low, high, 81)]
     assert error[0] == error[-1] == pytest.approx(0.0, abs=1e-12)
     assert max(error) == pytest.approx(parts * between.PATH_ERROR, rel=1e-3)
 

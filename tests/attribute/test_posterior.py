@@ -186,8 +186,7 @@ def test_usual_inputs_are_those_that_a_scenario_has_and_does_not_state(case):
     classes = [{"name": f"c{i}", "fraction": f, "spectrum": {"constant": 0.2}} for i, f in enumerate(shares)]
     scene = {"classes": classes, "targets": case.get("targets", [])}
     data = {"name": "s", "scene": scene, "processing": {"elm": "none", "detectors": []}, **case.get("more", {})}
-    origins = Origins(axis=AXIS, engine=stand_in_atmosphere)
-    world = read_world(Scenario.model_validate(data), origins)
+    world = read_world(Scenario.model_validate(data), Origins(axis=AXIS, engine=stand_in_atmosphere))
     further = attribute.further_candidates([world])
     found = {i.name for i in attribute.every_input([world], further) if not i.budgeted}
     assert {*case["among"]} <= found

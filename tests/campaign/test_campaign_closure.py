@@ -133,8 +133,7 @@ def test_the_first_campaign_runs_and_passes(tmp_path):
 
 
 def test_marks_of_the_file_and_of_the_table_are_the_same():
-    text = PAGE.read_text()
-    marks = set(re.findall(r"# \(([a-z])\)", text))
+    marks = set(re.findall(r"# \(([a-z])\)", PAGE.read_text()))
     assert marks == set(re.findall(r"^\| ([a-z]) \|", PAGE.with_name("first-campaign.md").read_text(), re.MULTILINE))
 
 

@@ -66,6 +66,7 @@ def test_what_is_uncertain_moves_a_whole_row_by_as_much_as_draws_of_it_do():
 def test_objects_are_drawn_where_errors_shift_their_scores_by_much_of_their_spread():
     """As the same draws of the budget give them one by one; along its directions they spread 8 to 14 % too far."""
     errors = {"uncertainty.field_spectra": [{"subject": "grass", "relative": 0.1, "correlation": "random"}]}
+    errors["scene.targets.green plank.subjects"] = [{"name": "0.4", "fill": {"fixed": 0.4}}]  # whose P_D moves by less
     unlit = load_scenario("green-planks-grass").model_copy(update={"atmosphere": None})
     scenario = with_settings(unlit, errors)
     made = model.predict(scenario, ON_TEN, objects=True, object_curves=False)

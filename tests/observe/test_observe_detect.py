@@ -298,6 +298,9 @@ def test_an_object_that_lacks_a_pixel_counts_as_none_and_is_named(world):
     counted = ("fill 0.3", "object"), ("all", "object"), ("all", "pixel")
     assert [found.roc[name, "cem", unit].n_target for name, unit in counted] == [2, 2, 9 * 5 - 3]
     assert [note[-12:] for note in found.notes if "lack the score of a pixel" in note] == [": t0, t1, t3"]
+    world.detection["halo_pixels"] = 1  # which nothing predicts
+    world.write()
+    assert world.observe().observation.roc["fill 0.3", "cem", "object"].n_target == 3
 
 
 def test_two_spectra_of_one_material(world):

@@ -775,7 +775,13 @@ def _effect_matrix(rows: Sequence[Result]) -> Figure:
 
 
 def _chi_square_figure(kind: str, rows: Sequence[Result], names: list[str]) -> Figure | None:
-    """Reduced chi-square of each row, and what it was before."""
+    """Reduced chi-square of each row, and what it was before.
+
+    >>> names = [f"roc of green-fill-0.100 background cem{more}" for more in ("", "-correlation")]
+    >>> one = Result("attribution", "", "", "", "reduced_chi_square", 2.0, before=3.0)
+    >>> _chi_square_figure("what-ifs", [one, one], names).views[0].parts[0].y.names[1]
+    'roc of green-fill-0.100 background cem-correlation'
+    """
     if not rows:
         return None
     (before, after), place = np.array([(r.before, r.value) for r in rows]).T, np.arange(float(len(rows)))
