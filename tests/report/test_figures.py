@@ -262,7 +262,7 @@ def test_reasons_are_told_by_shape_and_number_not_by_colour_alone(charts, drawin
     assert bars["marks"][0]["words"][0] == "−3 times its step of 1 %"
     assert "one of several" in inputs.legend
     (cells,) = stated(effects)[0]["parts"]
-    assert cells["marks"][0]["columns"]["value"].tolist() == pytest.approx([0.01, 0.02, 0.03, 0.04])
+    assert list(cells["marks"][0]["words"]) == ["+1", "+2", "+3", "+4"], "percent: a cell is no wider"
     looks = {(m.marker, m.beside) for m in what_ifs.views[0].parts[0].marks}
     assert looks == {("circle", ""), ("left", "left"), ("right", "right")}, "no number on a line"
     assert {"after, closer", "after, farther"} <= set(words_of(drawings["what-ifs"]))
@@ -270,7 +270,7 @@ def test_reasons_are_told_by_shape_and_number_not_by_colour_alone(charts, drawin
     quiet = ResultTable([dataclasses.replace(row, value=0.1) for row in reasons()])
     assert "attribution-inputs" not in {f.name for f in figures.further_figures((None, None), quiet, None)}
     # Labels stay inside: each is a group that is moved to where its first letter stands.
-    assert "all of the materials 4 m, P_D at P_FA 1e-2, cem (gap -0.2)" in words_of(drawings["attribution-effects"])
+    assert "all of the materials 4 m, P_D at P_FA 1e-2, cem (gap −20 %)" in words_of(drawings["attribution-effects"])
     text = drawings["attribution-effects"].content.decode()
     assert min(float(x) for x in re.findall(r'<g transform="translate\((-?[\d.]+) ', text)) >= 0.0
 

@@ -11,6 +11,7 @@ from scipy.special import betaincinv
 
 from hyperval.compare import MAX_EIGENVALUES, SPREAD, Sampled, in_central_95, probability_integral_transform, sampled
 from hyperval.data import Array, Mask
+from hyperval.figures.rows import short_text
 from hyperval.figures.spec import (
     CURVES,
     DIFFERENCE,
@@ -760,18 +761,17 @@ def _effect_matrix(rows: Sequence[Result]) -> Figure:
     names = sorted(dict.fromkeys(n for _, n in change), key=lambda n: -max(abs(change.get((q, n), 0.0)) for q in shown))
     names = names[:_MAX_INPUTS]
     y, x = (place.ravel().astype(float) for place in np.mgrid[: len(shown), : len(names)])
-    values = np.array([change.get((q, n), math.nan) for q in shown for n in names])
-    words = tuple(f"{v:+.{1 + (abs(v) >= 0.001)}g}" if abs(v) >= 0.0005 else "" for v in values)
+    values = 100.0 * np.array([change.get((q, n), math.nan) for q in shown for n in names])
+    words = tuple(short_text(v, "+") if abs(v) >= 0.05 else "" for v in values)
     # The colour scale ends at the 97th percentile: an outlier would leave little of it for the others.
     finite = np.abs(values[np.isfinite(values)])
-    reach = max(float(np.percentile(finite, 97)) if finite.size else 0.0, 1e-6)
+    most = max(float(np.percentile(finite, 97)) if finite.size else 0.0, 1e-6)
     columns = {"left": x - 0.5, "right": x + 0.5, "bottom": y - 0.5, "top": y + 0.5, "value": values}
-    scale = ColourScale("signed", -reach, reach, "change per unit")
-    cells = Mark("cells", columns, words=words, beside="centre", scale=scale)
+    cells = Mark("cells", columns, words=words, beside="centre", scale=ColourScale("signed", -most, most, "change [%]"))
     largest = max(((abs(v), q, n) for (q, n), v in change.items() if q in shown), default=(0.0, "", ""))
-    text = f"the largest, {largest[0]:.2g}, is that of {largest[1]} by {largest[2]}"
-    ways = Axis.named(names, _LONGEST), Axis.named([f"{q} (gap {gaps[q]:+.2g})" for q in shown], 64)
-    return row_figure("attribution-effects", *ways, [cells], text)
+    text = f"the largest, {short_text(100.0 * largest[0])} %, is that of {largest[1]} by {largest[2]}"
+    named_gaps = Axis.named([f"{q} (gap {short_text(100.0 * gaps[q], '+')} %)" for q in shown], 64)
+    return row_figure("attribution-effects", Axis.named(names, _LONGEST), named_gaps, [cells], text)
 
 
 def _chi_square_figure(kind: str, rows: Sequence[Result], names: list[str]) -> Figure | None:
