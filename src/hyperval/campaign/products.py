@@ -334,7 +334,21 @@ def joined_prediction(
 ) -> PredictedProducts:
     """The predictions of scenarios in one, without what came from its collection, and with the campaign's pools.
 
-    Their curves are averaged as the collection counts its targets.
+    Their curves are averaged as the collection counts its targets; a subject of which it has none that is whole does
+    not count.
+
+    >>> from types import SimpleNamespace as Of
+    >>> from hyperval.products import RocCurve, SpectralAxis
+    >>> pfa, axis = np.array([1e-3, 0.1, 1.0]), SpectralAxis([500.0], 10.0)
+    >>> def curve(pd, n): return RocCurve(pfa, np.array([pd, pd, 1.0]), *[np.ones(3)] * 2, -pfa, n_target=n)
+    >>> drawn = {(s, "cem", u): curve(pd, None) for s, pd in (("a", 0.2), ("b", 0.8)) for u in ("pixel", "object")}
+    >>> counted = {key: curve(0.5, 3 if key[0] == "a" else 1) for key in drawn if key != ("b", "cem", "object")}
+    >>> counted |= {("both", "cem", unit): curve(0.5, None) for unit in ("pixel", "object")}
+    >>> side = Of(observed=Of(observation=Of(roc=counted), place=None), campaign=Of(detection=Of(pools=[
+    ...     Of(name="both", subjects=["a", "b"])])))
+    >>> joined = joined_prediction(side, [], [PredictedProducts(axis, roc=drawn)]).roc
+    >>> [round(float(joined["both", "cem", unit].pd[0]), 2) for unit in ("pixel", "object")]
+    [0.35, 0.2]
     """
     whole = without_circular_spectra(merged_predictions(predictions), scenarios, side.observed.place)
     curves, observed, detection = dict(whole.roc), side.observed.observation.roc, side.campaign.detection

@@ -36,7 +36,7 @@ from scipy import ndimage, special
 from hyperval.data import Array, Counts, Index, Mask
 from hyperval.errors import refuse
 from hyperval.model import intervals
-from hyperval.model.roc import AREAS, WHOLE, RocArea
+from hyperval.model.roc import AREAS, WHOLE, RocArea, detection_at
 from hyperval.products import AlarmsAtDetection, AreaEstimate, ExceedanceCurve, Influence, RocCurve
 
 if TYPE_CHECKING:
@@ -802,20 +802,27 @@ def pooled_roc(curves: Sequence[RocCurve]) -> RocCurve:
     n_background = min((c.n_background for c in curves if c.n_background is not None), default=None)
     areas = pooled_areas([c.areas for c in curves], n_background or 0)
     first_alarms = min((c.alarms_before_first for c in curves if c.alarms_before_first is not None), default=None)
-    no_threshold = np.full(grid.shape, np.nan)  # threshold: each curve has its own
-    counted = curves[0].unit, total, n_background, curves[0].background_area_km2
-    return RocCurve(grid, pd, lower, upper, no_threshold, *counted, areas=areas, alarms_before_first=first_alarms)
+    # Each curve has thresholds of its own.
+    rest = np.full(grid.shape, np.nan), curves[0].unit, total, n_background, curves[0].background_area_km2
+    return RocCurve(grid, pd, lower, upper, *rest, areas=areas, alarms_before_first=first_alarms)
 
 
 def average_roc(curves: Sequence[RocCurve], weights: npt.ArrayLike) -> RocCurve:
     """The predicted curve of several groups of targets at the same false-alarm probability.
 
     P_D is the average of the groups by ``weights`` (how many targets each has); the limits are averaged as if the
-    errors of all groups were fully correlated, which is the widest case.
+    errors of all groups were fully correlated, which is the widest case.  Its points are those of the first curve that
+    lie on all the others too, between whose points P_D is :func:`hyperval.model.detection_at`.
+
+    >>> fine, coarse = (np.array(levels) for levels in ([1e-4, 1e-3, 1e-2, 0.1, 1.0], [1e-3, 0.1, 1.0]))
+    >>> joined = average_roc([RocCurve(pfa, *[pfa**0.5] * 3, -pfa) for pfa in (fine, coarse)], [1, 1])
+    >>> joined.pfa.tolist(), [round(float(x), 2) for x in joined.pd / joined.pfa**0.5]
+    ([0.001, 0.01, 0.1, 1.0], [1.0, 1.01, 1.0, 1.0])
     """
     first, share = curves[0], np.asarray(weights, dtype=float) / np.sum(weights)
-    pd, low, high = (share @ np.stack([getattr(c, k) for c in curves]) for k in ("pd", "pd_lower", "pd_upper"))
-    return RocCurve(first.pfa, pd, low, high, np.full(first.pfa.shape, np.nan), first.unit)
+    pfa = first.pfa[first.pfa >= max(c.pfa[0] for c in curves)]
+    levels = ([detection_at(c, pfa, getattr(c, k)) for c in curves] for k in ("pd", "pd_lower", "pd_upper"))
+    return RocCurve(pfa, *(share @ np.stack(each) for each in levels), np.full(pfa.shape, np.nan), first.unit)
 
 
 def mask_with_halo(mask: Mask, halo: int) -> Mask:
