@@ -142,11 +142,13 @@ def drift(years: npt.ArrayLike, values: npt.ArrayLike) -> Effect:
     >>> found = drift([0.0, 1.0, 2.0], [0.0, 0.01, 0.02])
     >>> round(found.value, 6), round(found.upper - found.lower, 6)
     (0.01, 0.0)
+    >>> drift([0.0, 1.0, 2.0], [0.25, 0.25, 0.25]).upper  # no scatter
+    0.0
     """
     t, y = np.asarray(years, dtype=float), np.asarray(values, dtype=float)
     refuse(t.size < FEWEST or np.ptp(t) == 0.0, "compare.drift", days=t.size, fewest=FEWEST)
     fit = scipy.stats.linregress(t, y)
-    half, slope = float(scipy.stats.t.ppf(0.975, t.size - 2)) * float(fit.stderr), float(fit.slope)
+    half, slope = float(scipy.stats.t.ppf(0.975, t.size - 2) * np.nan_to_num(fit.stderr)), float(fit.slope)
     return Effect(slope, slope - half, slope + half)
 
 
