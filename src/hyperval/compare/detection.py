@@ -13,7 +13,7 @@ import scipy
 
 from hyperval.compare.rows import Interval, named, row, said, short_label, skip_as, with_difference
 from hyperval.compare.spectra import noncentrality
-from hyperval.data import Array, Mask
+from hyperval.data import Array, Index, Mask
 from hyperval.metrics import Evidence
 from hyperval.model import Z95, clopper_pearson
 from hyperval.model.roc import AREAS, RocArea, curve_area, detection_at, log10_false_alarm_at
@@ -212,20 +212,27 @@ def judged_together(
     >>> *_, wide = judged_together(predicted, scattered)
     >>> [round(x, 2) for x in (wide.value, wide.lower, wide.upper)]
     [0.54, 0.28, 0.86]
+
+    A subject of another scenario, whose inputs are known, has its own draws.
+
+    >>> known = {**predicted, "d": ObjectScores(draws[:1] + 3.0)}
+    >>> more = {**measured, "d": np.array([3.5])}
+    >>> [next(judged_together({s: known[s] for s in names}, more)).value for names in ("abcd", "dcba")]
+    [1.0, 1.0]
     """
     if not measured:
         yield from skip_as("no_observation.objects", *OF_ALL)
         return
-    rng = np.random.default_rng(_SEED)
-    rows, half = len(predicted[next(iter(measured))].values), REPLICATES // 2
-    halves = rng.integers(max(rows // 2, 1), size=half), rng.integers(rows // 2, rows, size=half)
-    shared = np.concatenate(halves)[:, None]
+    rng, half, shared = np.random.default_rng(_SEED), REPLICATES // 2, dict[int, Index]()
     values, drawn, wider, strength = [], [], [], []
     for subject, scores in measured.items():
         draws = predicted[subject].values
+        if (rows := len(draws)) not in shared:  # one scenario's errors are not in as many draws as another's
+            halves = rng.integers(max(rows // 2, 1), size=half), rng.integers(rows // 2, rows, size=half)
+            shared[rows] = np.concatenate(halves)[:, None]
         values.append(probability_integral_transform(scores, draws))
         median = float(np.median(draws))
-        replicates = draws[shared, rng.integers(draws.shape[1], size=(REPLICATES, scores.size))]
+        replicates = draws[shared[rows], rng.integers(draws.shape[1], size=(REPLICATES, scores.size))]
         spread = median + np.multiply.outer(WIDTHS, replicates[-POWER_DRAWS:] - median)
         drawn.append(probability_integral_transform(replicates, draws))
         wider.append(probability_integral_transform(spread, draws))
