@@ -464,8 +464,7 @@ def compare_area_errors(
             groups.setdefault((key[1], nominal), []).append(errors)
     for (method, nominal), found in groups.items():
         if len(found) > 1:
-            subject = f"all targets of {nominal:g} m2"
-            yield from named(_area_errors(*np.array(found).T), "abundance", subject, method)
+            yield from named(_area_errors(*np.array(found).T), "abundance", f"all targets of {nominal:g} m2", method)
 
 
 def _area_errors(error: Array, model: Array, spread: Array) -> Iterator[Result]:

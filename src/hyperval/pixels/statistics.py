@@ -672,9 +672,10 @@ def _eigen_angles(gram: Array, rows: Array, count: int, spaces: tuple[int, ...],
     """(..., K) eigenvalues and (..., A) angles [deg] of S = F F^T by F^T F (..., m, m) and the ``rows`` (..., k, m) of
     F along the leading predicted directions; ``tail`` is added to every eigenvalue.
     """
-    values, vectors = (x[..., ::-1] for x in np.linalg.eigh(gram))
-    values, size = values[..., :count] + tail, rows.shape[-2]
-    overlap = rows @ vectors[..., :size] / np.sqrt(np.maximum(values[..., None, :size], 1e-300))
+    # Without angles no vectors are needed.
+    rising, vectors = np.linalg.eigh(gram) if spaces else (np.linalg.eigvalsh(gram), gram)
+    values, size = np.asarray(rising[..., ::-1][..., :count]) + tail, rows.shape[-2]
+    overlap = rows @ vectors[..., ::-1][..., :size] / np.sqrt(np.maximum(values[..., None, :size], 1e-300))
     return values, principal_angles_deg(overlap, spaces)
 
 
