@@ -225,9 +225,9 @@ def judged_together(
         draws = predicted[subject].values
         values.append(probability_integral_transform(scores, draws))
         median = float(np.median(draws))
-        replicates = draws[shared, rng.integers(draws.shape[1], size=(REPLICATES, scores.size))]
-        spread = median + np.multiply.outer(WIDTHS, replicates[-POWER_DRAWS:] - median)
-        drawn.append(probability_integral_transform(replicates, draws))
+        place = shared, rng.integers(draws.shape[1], size=(REPLICATES, scores.size))
+        spread = median + np.multiply.outer(WIDTHS, draws[place][-POWER_DRAWS:] - median)
+        drawn.append(probability_integral_transform(draws, draws)[place])
         wider.append(probability_integral_transform(spread, draws))
         strength += [median] * scores.size
     u, reference, wide = np.concatenate(values), np.concatenate(drawn, axis=1), np.concatenate(wider, axis=2)
