@@ -470,10 +470,10 @@ def _reason_of(row: Result) -> str:
 
 def json_value(value: Any) -> Any:
     """A value that JSON can hold: NaN becomes null, an infinity its name, anything unknown its text."""
-    if value is None or isinstance(value, str | int):
-        return value
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None if math.isnan(value) else str(value)
+    if value is None or isinstance(value, str | int):
+        return value
     if isinstance(value, list | tuple):
         return [json_value(item) for item in value]
     if hasattr(value, "tolist"):  # NumPy scalars and arrays

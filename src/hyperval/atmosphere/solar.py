@@ -53,6 +53,7 @@ def parse_utc(text: str) -> datetime:
     return when.replace(tzinfo=UTC) if when.tzinfo is None else when.astimezone(UTC)
 
 
+@lru_cache(maxsize=64)
 def solar_position(latitude_deg: float, longitude_deg: float, when: datetime) -> tuple[float, float]:
     """True (not refracted) solar zenith and azimuth, east of north [deg]; longitude east positive."""
     # Pressure [mbar], temperature and refraction move the apparent zenith alone.
@@ -109,8 +110,7 @@ def extraterrestrial_irradiance(name: str, wavelength_nm: Array, distance_au: fl
     count = int(np.ceil(2.0 * step.max() / _FINE_NM)) | 1
     offset = np.linspace(-1.0, 1.0, count)
     weight = 1.0 - np.abs(offset)
-    positions = grid[:, None] + offset[None, :] * step[:, None]
-    values = np.interp(positions, source_nm, irradiance)
+    values = np.interp(grid[:, None] + offset * step[:, None], source_nm, irradiance)
     return np.asarray(values @ weight / weight.sum()) / distance_au**2
 
 

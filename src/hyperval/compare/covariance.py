@@ -25,6 +25,7 @@ EIGENVALUES = 5  # compared
 MAX_EIGENVALUES = 30  # in figures
 SPACES = (1, 2, 3)
 MIN_PIXELS = 3
+_FIGURE_DRAWS = 399  # of the eigenvalues that no row compares
 _SEED = 20140501
 _MAX_DRAWN = 64  # bands that are kept, of some 0.1 to 0.5 MB each
 
@@ -196,27 +197,28 @@ def sampled(
     full, lacks = pixels.is_full_rank(independent, size), factor.shape[1] < size
     distance = math.nan if not full else math.inf if lacks else pixels.covariance_distance(factor @ factor.T)
     errors = _spread_errors((p, o), bands)
-    counts = min(count, EIGENVALUES), count  # a figure's first ones are those of rows
-    bands_of = [_sampling_band(directions, independent, k, spaces, kurtosis, errors) for k in counts]
-    limits = [np.stack([x.eigenvalues.mean(axis=0), *pixels.band_limits(x.eigenvalues)]) for x in bands_of]
+    drawn_by, few = partial(_sampling_band, directions, independent, errors, kurtosis=kurtosis), min(count, EIGENVALUES)
+    band = drawn_by((few, spaces))
+    further = drawn_by((count, ()), draws=_FIGURE_DRAWS) if count > few else band
+    limits = [np.stack([x.eigenvalues.mean(axis=0), *pixels.band_limits(x.eigenvalues)]) for x in (band, further)]
     drawn = np.hstack([limits[0], limits[1][:, EIGENVALUES:]])
     both = (p, o), bands, (first, second)
-    return Sampled(*both, measured, bands_of[0], drawn, distance, directions, independent, errors, spaces, n, kurtosis)
+    return Sampled(*both, measured, band, drawn, distance, directions, independent, errors, spaces, n, kurtosis)
 
 
 _DRAWN: dict[tuple[Any, ...], pixels.CovarianceStatistics] = {}
 
 
 def _sampling_band(
-    directions: pixels.EigenDirections, dof: Array, count: int, spaces: tuple[int, ...], kurtosis: float, errors: Array
+    directions: pixels.EigenDirections, dof: Array, errors: Array, asked: tuple[int, tuple[int, ...]], **more: Any
 ) -> pixels.CovarianceStatistics:
     """The draws that rows and figures of a subject share."""
     law = b"".join(x.tobytes() for x in (directions.vectors, directions.values, dof, errors))
-    key, rng = (sha256(law).digest(), count, spaces, kurtosis), np.random.default_rng(_SEED)
+    key, rng = (sha256(law).digest(), *asked, *more.values()), np.random.default_rng(_SEED)
     if len(_DRAWN) >= _MAX_DRAWN:
         _DRAWN.clear()
     if key not in _DRAWN:
-        _DRAWN[key] = pixels.sampling_band(directions, dof, count, spaces, rng, kurtosis=kurtosis, errors=errors)
+        _DRAWN[key] = pixels.sampling_band(directions, dof, *asked, rng, errors=errors, **more)
     return _DRAWN[key]
 
 

@@ -232,9 +232,9 @@ def judged_together(
             shared[rows] = np.concatenate(halves)[:, None]
         values.append(probability_integral_transform(scores, draws))
         median = float(np.median(draws))
-        replicates = draws[shared[rows], rng.integers(draws.shape[1], size=(REPLICATES, scores.size))]
-        spread = median + np.multiply.outer(WIDTHS, replicates[-POWER_DRAWS:] - median)
-        drawn.append(probability_integral_transform(replicates, draws))
+        place = shared[rows], rng.integers(draws.shape[1], size=(REPLICATES, scores.size))
+        spread = median + np.multiply.outer(WIDTHS, draws[place][-POWER_DRAWS:] - median)
+        drawn.append(probability_integral_transform(draws, draws)[place])
         wider.append(probability_integral_transform(spread, draws))
         strength += [median] * scores.size
     u, reference, wide = np.concatenate(values), np.concatenate(drawn, axis=1), np.concatenate(wider, axis=2)
@@ -471,8 +471,7 @@ def compare_area_errors(
             groups.setdefault((key[1], nominal), []).append(errors)
     for (method, nominal), found in groups.items():
         if len(found) > 1:
-            subject = f"all targets of {nominal:g} m2"
-            yield from named(_area_errors(*np.array(found).T), "abundance", subject, method)
+            yield from named(_area_errors(*np.array(found).T), "abundance", f"all targets of {nominal:g} m2", method)
 
 
 def _area_errors(error: Array, model: Array, spread: Array) -> Iterator[Result]:

@@ -515,8 +515,7 @@ def wavelength_rows(predicted: SpectralEstimate, observed: SpectralEstimate, axi
                 for side, centre in zip((predicted, observed), centres, strict=True)
             ]
             half = Z95 * math.hypot(*sd) or math.nan
-            name = f"absorption_centre_difference@{feature.key}"
-            yield row(name, centres[0] - centres[1], half=half, n=observed.n)
+            yield row(f"absorption_centre_difference@{feature.key}", centres[0] - centres[1], half=half, n=observed.n)
 
 
 def shifted_rows(predicted: Products, observed: Products) -> Iterator[Result]:

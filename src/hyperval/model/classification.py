@@ -19,7 +19,7 @@ from hyperval.data import Array, Index, Mask, statistics_of
 from hyperval.errors import UsageError, refusal, refuse
 from hyperval.model.fill import fills_of_objects
 from hyperval.model.filters import PositiveDefinite, fully_constrained, principal_components
-from hyperval.model.intervals import Z95, clopper_pearson, drawn_factor, student_factor
+from hyperval.model.intervals import Z95, clopper_pearson, drawn_factors, student_factor
 from hyperval.model.radiance import submatrix
 from hyperval.model.stated import Origins, Truth, band_correlation
 from hyperval.model.world import World, group_by_files, read_world, with_truths
@@ -114,7 +114,7 @@ class ClassLaw:
             return ClassLaw(drawn.mean, drawn.covariance)
         root = np.linalg.cholesky(self.covariance)
         mean = self.mean + root @ rng.standard_normal(self.mean.size) / np.sqrt(n)
-        factor = root @ drawn_factor(self.mean.size, n - 1.0, rng)
+        factor = root @ drawn_factors(1, np.full(self.mean.size, n - 1.0), rng)[0]
         return ClassLaw(mean, factor @ factor.T)
 
 

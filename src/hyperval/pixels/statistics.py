@@ -22,7 +22,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import reduce
-from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -32,7 +31,7 @@ from scipy import fft, special
 from hyperval.data import Array, Index, Mask, SampleStatistics
 from hyperval.errors import UsageError, refuse
 from hyperval.executors import available_cores, single_blas_thread
-from hyperval.model.intervals import drawn_factor, student_factor
+from hyperval.model.intervals import drawn_factors, student_factor
 
 if TYPE_CHECKING:
     from hyperval.imagery import Cube
@@ -673,9 +672,10 @@ def _eigen_angles(gram: Array, rows: Array, count: int, spaces: tuple[int, ...],
     """(..., K) eigenvalues and (..., A) angles [deg] of S = F F^T by F^T F (..., m, m) and the ``rows`` (..., k, m) of
     F along the leading predicted directions; ``tail`` is added to every eigenvalue.
     """
-    values, vectors = (x[..., ::-1] for x in np.linalg.eigh(gram))
-    values, size = values[..., :count] + tail, rows.shape[-2]
-    overlap = rows @ vectors[..., :size] / np.sqrt(np.maximum(values[..., None, :size], 1e-300))
+    # Without angles no vectors are needed.
+    rising, vectors = np.linalg.eigh(gram) if spaces else (np.linalg.eigvalsh(gram), gram)
+    values, size = np.asarray(rising[..., ::-1][..., :count]) + tail, rows.shape[-2]
+    overlap = rows @ vectors[..., ::-1][..., :size] / np.sqrt(np.maximum(values[..., None, :size], 1e-300))
     return values, principal_angles_deg(overlap, spaces)
 
 
@@ -721,17 +721,20 @@ def band_limits(drawn: Array) -> tuple[Array, Array]:
     return ordered[rank - 1], ordered[-rank]
 
 
-def _perturbed_roots(
-    directions: EigenDirections, errors: Array, factors: Iterator[Array], rng: np.random.Generator
+def _perturbed_draws(
+    directions: EigenDirections, errors: Array, draws: int, n: Array, kurtosis: float, rng: np.random.Generator
 ) -> Iterator[tuple[Array, Array]]:
     """Blocks of roots (n or 1, B, P) of drawn covariances e^r (Sigma + diag q) e^r, to first order in q, with factors.
 
-    ``errors`` (2, K, B) : what r and q are by a standard normal number along each direction
+    ``errors`` (2, K, B) : what r and q are by a standard normal number along each direction; ``n`` (P,) degrees of
+    freedom
     """
-    vectors, sd = directions.vectors, np.sqrt(directions.values)
-    while block := list(islice(factors, max(_BLOCK // vectors.size, 1))):
-        r, q = rng.standard_normal((len(block) if errors.size else 1, errors.shape[1])) @ errors
-        yield np.exp(r)[..., None] * (vectors * sd + q[..., None] * (vectors / (2.0 * sd))), np.stack(block)
+    vectors, sd, of_errors = directions.vectors, np.sqrt(directions.values), rng.spawn(1)[0]
+    most = max(_BLOCK // vectors.size, 1)
+    for count in [most] * (draws // most) + [draws % most] * (draws % most > 0):
+        r, q = of_errors.standard_normal((count if errors.size else 1, errors.shape[1])) @ errors
+        roots = np.exp(r)[..., None] * (vectors * sd + q[..., None] * (vectors / (2.0 * sd)))
+        yield roots, drawn_factors(count, n, rng, kurtosis)
 
 
 def sampling_band(
@@ -794,10 +797,9 @@ def sampling_band(
     if errors is None or not errors.size:  # along the directions themselves
         leading, errors = replace(leading, vectors=np.eye(drawn_size)), np.zeros((2, 0, drawn_size))
     rows = leading.vectors[:, : max(spaces, default=0)].T
-    factors = (drawn_factor(drawn_size, n[:drawn_size], rng, kurtosis) for _ in range(draws))
     tail = float(np.sum(values[drawn_size:] / dof[drawn_size:]))
     with single_blas_thread():
-        for roots, block in _perturbed_roots(leading, errors, factors, rng.spawn(1)[0]):
+        for roots, block in _perturbed_draws(leading, errors, draws, n[:drawn_size], kurtosis, rng):
             drawn = roots @ np.pad(block, [(0, 0), (0, 0), (0, max(count - block.shape[-1], 0))])
             parts.append(_eigen_angles(np.swapaxes(drawn, -1, -2) @ drawn, rows @ drawn, count, spaces, tail))
             trace.append(np.full(len(block), np.sum(roots**2, axis=(1, 2)) / leading.values.sum()))
@@ -808,7 +810,7 @@ def sampling_band(
 
 
 def distance_band(
-    directions: EigenDirections, independent: npt.ArrayLike, rng: np.random.Generator, kurtosis: float, errors: Array
+    directions: EigenDirections, independent: Array, rng: np.random.Generator, kurtosis: float, errors: Array
 ) -> tuple[float, float, float]:
     """The mean of :func:`covariance_distance` of samples by chance alone, and the 95 % limits of a draw.
 
@@ -817,11 +819,10 @@ def distance_band(
 
     ``errors`` : (2, K, B) of the prediction, which limits have besides
     """
-    size, whiten = directions.values.size, (directions.vectors / np.sqrt(directions.values)).T
-    factors = (drawn_factor(size, independent, rng, kurtosis) for _ in range(_DISTANCE_DRAWS))
+    whiten = (directions.vectors / np.sqrt(directions.values)).T
     chance, perturbed = [], []
     with single_blas_thread():
-        for roots, block in _perturbed_roots(directions, errors, factors, rng.spawn(1)[0]):
+        for roots, block in _perturbed_draws(directions, errors, _DISTANCE_DRAWS, independent, kurtosis, rng):
             chance += [covariance_distance(f @ f.T) for f in block]
             perturbed += [covariance_distance(f @ f.T) for f in whiten @ roots @ block] if errors.size else []
     distances = np.array(perturbed or chance)

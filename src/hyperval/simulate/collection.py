@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pandas as pd
 from affine import Affine
 from rasterio import features
 from rasterio.crs import CRS
@@ -29,6 +28,7 @@ from hyperval.errors import T, UsageError, package_table, refusal, refuse
 from hyperval.executors import Workers, in_order, single_blas_thread
 from hyperval.imagery import envi_writer, write_cube
 from hyperval.progress import track
+from hyperval.run import csv_text
 from hyperval.sensor import NoiseModel, load_sensor
 from hyperval.simulate import schema
 from hyperval.simulate.ground import Field, GroundLayout, SurfaceRenderer, lay_out, regions
@@ -216,7 +216,7 @@ def write_targets(path: Path, scene: SceneFile, ground: GroundLayout) -> None:
             round(plank.centre_line, 4), round(plank.centre_sample, 4), group.phase, round(plank.heading_deg, 3),
             int(plank.lines[best]), int(plank.samples[best]), round(float(plank.fills[best]), 6), int(plank.fills.size),
         ))  # fmt: skip
-    write_text(path, pd.DataFrame(rows, columns=WRITTEN["targets"]).to_csv(index=False, lineterminator="\n"))
+    write_text(path, csv_text([WRITTEN["targets"], *rows]))
 
 
 def field_axis() -> SpectralAxis:
@@ -240,9 +240,10 @@ def write_panel_spectra(path: Path, scene: SceneFile) -> None:
         rng = schema.generator(scene.seed, schema.FIELD_SPECTRA, number)
         readings = mean * (1.0 + noise * rng.standard_normal((count, mean.size)))
         deviation = readings.std(axis=0, ddof=1) if count > 1 else np.zeros(mean.size)
-        columns |= {panel.name: readings.mean(axis=0), f"{panel.name}_sd": deviation}
+        both = {panel.name: readings.mean(axis=0), f"{panel.name}_sd": deviation}
+        columns |= {name: [f"{value:.6f}" for value in values] for name, values in both.items()}
     words = f"# means of N = {count} readings and their standard deviations\n" if count > 1 else ""
-    write_text(path, words + pd.DataFrame(columns).to_csv(index=False, float_format="%.6f", lineterminator="\n"))
+    write_text(path, words + csv_text([columns, *zip(*columns.values(), strict=True)]))
 
 
 WORKERS = 2
@@ -387,5 +388,4 @@ def _map_place(scene: SceneFile) -> dict[str, Any]:
 def _line_by_line(work: Callable[[int], T], scene: SceneFile, words: str) -> Iterator[T]:
     """Results of ``work`` in the order of the lines, a few ahead at a time so that memory stays bounded."""
     with single_blas_thread(), ThreadPoolExecutor(WORKERS) as pool:  # the limit belongs to the process
-        done = in_order(Workers(pool), work, range(scene.lines), ahead=4 * WORKERS)
-        yield from track(done, words, scene.lines)
+        yield from track(in_order(Workers(pool), work, range(scene.lines), ahead=4 * WORKERS), words, scene.lines)
