@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any, Literal
@@ -147,7 +147,7 @@ _NOT_THERE = (Cause.NO_PREDICTION, Cause.NO_OBSERVATION, Cause.NO_BANDS)
 Judgement = tuple[Outcome, Cause]
 
 
-def judge_rows(rows: Sequence[Result], gates: Sequence[Gate]) -> list[Result]:
+def judge_rows(rows: Iterable[Result], gates: Sequence[Gate]) -> list[Result]:
     """The rows with every planned comparison judged.
 
     Call it once, on all rows of a campaign: the levels of its tests are shared out among them.  A row that several
@@ -160,6 +160,7 @@ def judge_rows(rows: Sequence[Result], gates: Sequence[Gate]) -> list[Result]:
     >>> [str(judge_rows(rows, gates)[0].outcome) for gates in ([], [together])]  # usual level, or all rows together
     ['disagrees', 'none']
     """
+    rows = list(rows)
     covering = [[gate for gate in gates if gate.matches(row)] for row in rows]
     out: list[Result] = []
     for row, about in zip(rows, covering, strict=True):
@@ -346,8 +347,7 @@ def with_effect(row: Result, level: float = math.nan) -> Result:
     level : of a test, its part of the campaign's level
     """
     metric, unit, about = metric_of(row.metric), metric_of(row.metric).effect, row.about
-    if about or metric.kind is Kind.TEST:  # of most rows neither
-        row = replace(row, about=None, p_value=row.value if metric.kind is Kind.TEST else math.nan)
+    row = replace(row, about=None, p_value=row.value if metric.kind is Kind.TEST else math.nan)
     if unit is None or not row.planned or math.isnan(row.value):
         return row
     about = about or (_quantity_effect(row) if metric.kind is Kind.QUANTITY else None)

@@ -822,7 +822,8 @@ def average_roc(curves: Sequence[RocCurve], weights: npt.ArrayLike) -> RocCurve:
     first, share = curves[0], np.asarray(weights, dtype=float) / np.sum(weights)
     pfa = first.pfa[first.pfa >= max(c.pfa[0] for c in curves)]
     levels = ([detection_at(c, pfa, getattr(c, k)) for c in curves] for k in ("pd", "pd_lower", "pd_upper"))
-    return RocCurve(pfa, *(share @ np.stack(each) for each in levels), np.full(pfa.shape, np.nan), first.unit)
+    pd, low, high = (share @ np.stack(each) for each in levels)
+    return RocCurve(pfa, pd, low, high, np.full(pfa.shape, np.nan), first.unit)
 
 
 def mask_with_halo(mask: Mask, halo: int) -> Mask:
