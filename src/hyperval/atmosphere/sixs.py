@@ -768,6 +768,7 @@ def terms_near(stated: AtmosphericState, state: AtmosphericState, folder: Path) 
     return replace(after, **terms)
 
 
+@lru_cache(maxsize=8)  # many states are asked about beside one
 def _emulated_inside(state: AtmosphericState) -> AtmosphericTerms:
     """The terms by the numbers that the package ships; refuses a state that they were not made from."""
     height, zenith = state.sensor_altitude_km - state.ground_altitude_km, state.sun[0]

@@ -345,8 +345,7 @@ def _from_folder(stamps: tuple[_Stamp, ...], folder: str, template: _Stamp) -> A
     refuse(absent or len(file_at) != len(files), "table.incomplete", folder, lacking=lacking, count=len(grid))
     stated, albedos = _stated(Path(template[0]))
     slanted = stated.get("view_zenith_deg") != 0.0 or "view_zenith_deg" in names
-    named = {"view_zenith_deg", "relative_azimuth_deg"} <= set(names)
-    refuse(slanted and not named, "table.slanted", template[0])
+    refuse(slanted and not {"view_zenith_deg", "relative_azimuth_deg"} <= set(names), "table.slanted", template[0])
     axes = {name: n for name, n in nodes.items() if n.size > 1}
     fixed = {k: v for k, v in stated.items() if k in (*AXES, *NAMED) and k not in axes}
     fixed |= {name: float(n[0]) for name, n in nodes.items() if n.size == 1}

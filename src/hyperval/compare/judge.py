@@ -230,8 +230,7 @@ def outcome_of(row: Result, low: float, high: float) -> Judgement:
     if metric.is_bare:
         return Outcome.UNDECIDED, Cause.NOT_JUDGED if metric.kind is Kind.STATISTIC else Cause.NO_INTERVAL
     if metric.kind is Kind.EQUIVALENCE:
-        codes = {1.0: Outcome.AGREES, -1.0: Outcome.DISAGREES}
-        return codes.get(row.value, Outcome.UNDECIDED), Cause.NONE
+        return {1.0: Outcome.AGREES, -1.0: Outcome.DISAGREES}.get(row.value, Outcome.UNDECIDED), Cause.NONE
     ends = (row.lower, row.upper) if metric.kind is Kind.QUANTITY else (row.value, row.value)
     if any(map(math.isnan, ends)):
         return Outcome.UNDECIDED, Cause.NO_INTERVAL

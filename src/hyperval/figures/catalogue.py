@@ -572,25 +572,25 @@ def many_objects_figure(maps: Mapping[str, ScoreMap], sides: Sides) -> Figure | 
 
 
 def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> Panels | None:
-    found, laws = list[tuple[str, float, float]](), list[tuple[int, Array]]()
+    found, laws = list[tuple[str, float]](), list[tuple[int, Array]]()
     for (_, detector), draws, scores in _objects(sides):
         outlined = [one for one in scores if one[0] in score_map.outlines and name.endswith(f"-{detector}")]
-        found += [(*one, float(np.median(draws))) for one in outlined]
+        found += outlined
         laws += [(len(outlined), draws)] if outlined else []
     if min(len(found), len(score_map.outlines)) <= _MAX_ROWS:  # each has its place in a list
         return None
-    names, measured, median = zip(*found, strict=True)
-    line, sample = np.array([np.mean(np.nonzero(score_map.outlines[one]), axis=1) for one in names]).T + 0.5
-    value = np.array(measured) - np.array(median)
+    names, measured = zip(*found, strict=True)
+    median = np.repeat([np.median(draws) for _, draws in laws], [count for count, _ in laws])
+    lines, samples = (float(n) for n in np.shape(score_map.values))
+    places = [np.mean(divmod(np.flatnonzero(score_map.outlines[one]), samples), axis=1) for one in names]
+    (line, sample), value = np.transpose(places) + 0.5, np.array(measured) - median
     reach = float(np.max(np.abs(value))) or 1.0
     labels = tuple(f"{one}: measured {m:.3g}, predicted median {p:.3g}"
                  for one, m, p in zip(names, measured, median, strict=True))  # fmt: skip
     scale = ColourScale("signed", -reach, reach, "measured − predicted")
     columns = {"x": sample, "y": line, "value": value}
     dots = Mark("dots", columns, marker="circle", words=labels, scale=scale, linked=True)
-    lines, samples = (float(n) for n in np.shape(score_map.values))
-    place = Part(Axis("line [pixel]", ends=(lines, 0.0)), (dots,))
-    parts = place, _score_histogram(measured, laws, labels)
+    parts = Part(Axis("line [pixel]", ends=(lines, 0.0)), (dots,)), _score_histogram(measured, laws, labels)
     words = f"{len(names)} objects, median measured {np.median(measured):.3g}, predicted {np.median(median):.3g}"
     return Panels(Axis("sample [pixel]", ends=(0.0, samples)), parts, name, words=words)
 
