@@ -59,6 +59,7 @@ def without_figures(patch: pytest.MonkeyPatch) -> None:
     # Sets of objects for p-values that no test of the small campaign asks for: a fifth of what is left.
     patch.setattr("hyperval.compare.detection.REPLICATES", 400)
     patch.setattr("hyperval.compare.detection.POWER_DRAWS", 40)
+    patch.setattr("hyperval.compare.covariance._MAX_DRAWN", 2000)  # of few bands: most tests share most spreads
 
 
 def fill_in(campaign: Path, values: Mapping[str, str]) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from hyperval.campaign import load_job, run_campaign
-from hyperval.compare import judge_rows
+from hyperval.compare import covariance, judge_rows
 from hyperval.config import parse_yaml
 from hyperval.results import Outcome, Result, ResultTable
 
@@ -26,19 +26,25 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from small_campaign import write_yaml
 
 TWIN = Path(__file__).parents[2] / "campaigns" / "share2012-twin"
-SEEDS, LEVELS = (2012, 2013, 2014), ("1e-2", "1e-3")
+SEEDS, LEVELS, FIELDS = (2012, 2013, 2014), ("1e-2", "1e-3"), ("grass-field", "asphalt-court")
 
 pytestmark = pytest.mark.slow
 
 
 def run_twin(name: str, seed: int, folder: Path) -> ResultTable:
-    """All comparisons of a campaign of the twin whose scene is drawn with ``seed``; why they differ is not asked."""
+    """What criteria of a twin ask for, whose scene is drawn with ``seed``: not why the sides differ, nor other spreads.
+
+    Draws of the covariances of panels and planks take a fifth of a run, and no criterion is on them.
+    """
     shutil.copytree(TWIN, folder, dirs_exist_ok=True)
     data, _ = parse_yaml((TWIN / name).read_text("utf-8"))
     scene = folder / data["collection"]["simulate"]
     scene.write_text(re.sub(r"(?m)^seed: .*$", f"seed: {seed}", scene.read_text("utf-8")), "utf-8")
     write_yaml(folder / name, {key: value for key, value in data.items() if key != "attribution"})
-    return run_campaign(load_job(folder / name)).table
+    compare = covariance.compare_covariance
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(covariance, "compare_covariance", lambda *x: compare(*x) if x[2] in FIELDS else ())
+        return run_campaign(load_job(folder / name)).table
 
 
 def detection(table: ResultTable, metric: str) -> list[Result]:
@@ -53,18 +59,12 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[int, ResultTable]:
     return {seed: run_twin("campaign.yaml", seed, tmp_path_factory.mktemp(f"seed{seed}")) for seed in SEEDS}
 
 
-@pytest.fixture(scope="module")
-def broken(tmp_path_factory: pytest.TempPathFactory) -> ResultTable:
-    return run_twin("campaign-broken.yaml", 2012, tmp_path_factory.mktemp("broken"))
-
-
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_right_model_meets_its_criteria_in_every_band_of_the_fields(runs, seed):
-    wrong = (Outcome.DISAGREES, Outcome.ERROR)
-    assert [(r.subject, r.metric) for r in runs[seed] if r.gates and r.outcome in wrong] == []
+    assert not [r.key for r in runs[seed] if r.gates and r.outcome in (Outcome.DISAGREES, Outcome.ERROR)]
     # About 51,000 pixels: the standard error is 0.05 % and less, so that every single band must hold.
     worst = runs[seed].where(product="radiance", metric="max_abs_difference_ratio_windows")
-    assert max(r.value for r in worst if r.subject in ("grass-field", "asphalt-court")) <= 0.01
+    assert max(r.value for r in worst if r.subject in FIELDS) <= 0.01
 
 
 @pytest.mark.parametrize("pfa", LEVELS)
@@ -89,7 +89,8 @@ def test_the_interval_tells_a_fill_from_the_next(runs, pfa):
     assert wrong >= 18  # of 24
 
 
-def test_the_broken_twin_fails_the_criteria_of_closure(broken):
+def test_the_broken_twin_fails_the_criteria_of_closure(tmp_path):
+    broken = run_twin("campaign-broken.yaml", 2012, tmp_path)
     table = ResultTable(judge_rows(list(broken), load_job(TWIN / "campaign.yaml").campaign.comparisons))
     failed = {row.product for row in table.where(outcome=Outcome.DISAGREES) if row.gates}
     assert failed >= {"radiance", "reflectance", "roc", "scores", "covariance"}

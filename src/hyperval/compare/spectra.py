@@ -190,9 +190,8 @@ class ChiSquare:
     @property
     def p_value(self) -> float:
         """Upper tail probability; NaN without degrees of freedom."""
-        if not 0 < self.dof < self.covariance_dof:
-            return math.nan
-        return float(central_law(self.dof, self.covariance_dof).sf(self.ratio))
+        p, nu = self.dof, self.covariance_dof
+        return float(central_law(p, nu).sf(self.ratio)) if 0 < p < nu else math.nan
 
     @property
     def effect(self) -> Effect | None:
@@ -218,6 +217,7 @@ class ChiSquare:
         return Effect(size, min(low, size), max(high, size), partial(accepted_sizes, p, nu), (math.nan, found))
 
 
+@lru_cache(maxsize=256)  # scipy takes longer to make a law than to ask it
 def central_law(dof: int, nu: float) -> Any:
     """Law of a chi-square or of Hotelling's statistic over what it is expected to be, where both sides agree."""
     return scipy.stats.chi2(dof, scale=1.0 / dof) if math.isinf(nu) else scipy.stats.f(dof, nu - dof + 1.0)
