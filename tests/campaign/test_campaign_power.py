@@ -151,6 +151,7 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     del small.scenario["sensor_changes"]
     small.data["collection"]["cube"]["scale"] = 1e-2  # the header's is 1e-3
     assert since().startswith("check the unit of the measured spectra (x 10 explains 100 %")
+    del small.data["collection"]["cube"]["scale"]
     corner = re.compile(r"\[(\d+\.?\d*), (\d+\.?\d*)\]")
     small.edit("regions.geojson", lambda text: corner.sub(lambda m: f"[{float(m[1]) - 1}, {float(m[2]) + 1}]", text))
     assert since().startswith("check the position of the regions (-1 lines, +1 samples explains 99 %")
