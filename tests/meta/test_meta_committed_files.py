@@ -39,7 +39,7 @@ def findings(text: str) -> list[str]:
     [
         ("see https://py" + "pi.org/simple", True), ("--index-url https://files.python" + "hosted.org/x", True),
         ("cd /wo" + "rk/main", True), ('open("/ho' + 'me/me/a.img")', True), ("data in /ro" + "ot/data", True),
-        ("src/work/main.py", False), ("../elsewhere/data", False), ("a home/office", False),
+        ("src/wo" + "rk/main.py", False), ("../elsewhere/data", False), ("a home/office", False),
         ("the pypi classifier", False),
     ],
 )  # fmt: skip

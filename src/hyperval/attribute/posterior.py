@@ -74,7 +74,7 @@ class Whitened:
     def whiten(self, columns: npt.ArrayLike) -> Array:
         """L^-1 times columns (n,) or (n, k)."""
         x = np.asarray_chkfinite((np.asarray(columns, dtype=float).T / self._sd).T)
-        return np.asarray(linalg.solve_triangular(self._lower, x, lower=True, check_finite=False))  # the factor is
+        return np.asarray(linalg.solve_triangular(self._lower, x, lower=True, check_finite=False))  # of the factor
 
     def unwhiten(self, x: Array) -> Array:
         """L x: what is whitened, back in its own units."""

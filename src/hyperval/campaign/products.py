@@ -339,16 +339,17 @@ def joined_prediction(
 
     >>> from types import SimpleNamespace as Of
     >>> from hyperval.products import RocCurve, SpectralAxis
-    >>> pfa, axis = np.array([1e-3, 0.1, 1.0]), SpectralAxis([500.0], 10.0)
-    >>> def curve(pd, n): return RocCurve(pfa, np.array([pd, pd, 1.0]), *[np.ones(3)] * 2, -pfa, n_target=n)
-    >>> drawn = {(s, "cem", u): curve(pd, None) for s, pd in (("a", 0.2), ("b", 0.8)) for u in ("pixel", "object")}
-    >>> counted = {key: curve(0.5, 3 if key[0] == "a" else 1) for key in drawn if key != ("b", "cem", "object")}
-    >>> counted |= {("both", "cem", unit): curve(0.5, None) for unit in ("pixel", "object")}
-    >>> side = Of(observed=Of(observation=Of(roc=counted), place=None), campaign=Of(detection=Of(pools=[
-    ...     Of(name="both", subjects=["a", "b"])])))
-    >>> joined = joined_prediction(side, [], [PredictedProducts(axis, roc=drawn)]).roc
-    >>> [round(float(joined["both", "cem", unit].pd[0]), 2) for unit in ("pixel", "object")]
-    [0.35, 0.2]
+    >>> fine, coarse = np.array([1e-4, 1e-3, 1e-2, 0.1, 1.0]), np.array([1e-3, 0.1, 1.0])
+    >>> curves = {("a", "cem"): RocCurve(fine, *[fine**0.5] * 4), ("b", "cem"): RocCurve(coarse, *[coarse**0.2] * 4)}
+    >>> drawn = {(*key, unit): curve for key, curve in curves.items() for unit in ("pixel", "object")}
+    >>> named = [*drawn, *(("a+b", "cem", unit) for unit in ("pixel", "object"))]
+    >>> roc = {key: Of(n_target={"a": 3}.get(key[0], 1)) for key in named}
+    >>> del roc["b", "cem", "object"]
+    >>> detection = Of(pools=[Of(name="a+b", subjects=["a", "b"])])
+    >>> side = Of(observed=Of(observation=Of(roc=roc), place=None), campaign=Of(detection=detection))
+    >>> joined = joined_prediction(side, [], [PredictedProducts(SpectralAxis([500.0], 10.0), roc=drawn)]).roc
+    >>> [joined["a+b", "cem", unit].pd.round(3).tolist() for unit in ("pixel", "object")]
+    [[0.087, 0.176, 0.395, 1.0], [0.01, 0.032, 0.1, 0.316, 1.0]]
     """
     whole = without_circular_spectra(merged_predictions(predictions), scenarios, side.observed.place)
     curves, observed, detection = dict(whole.roc), side.observed.observation.roc, side.campaign.detection

@@ -212,12 +212,8 @@ def judged_together(
     >>> *_, wide = judged_together(predicted, scattered)
     >>> [round(x, 2) for x in (wide.value, wide.lower, wide.upper)]
     [0.54, 0.28, 0.86]
-
-    A subject of another scenario, whose inputs are known, has its own draws.
-
-    >>> known = {**predicted, "d": ObjectScores(draws[:1] + 3.0)}
-    >>> more = {**measured, "d": np.array([3.5])}
-    >>> [next(judged_together({s: known[s] for s in names}, more)).value for names in ("abcd", "dcba")]
+    >>> known = predicted | {"d": ObjectScores(draws[:1] + 3.0)}  # of another scenario, whose inputs are known
+    >>> [3.0 * next(judged_together(known, {s: np.array([3.5]) for s in names})).value for names in ("abd", "dba")]
     [1.0, 1.0]
     """
     if not measured:

@@ -217,8 +217,6 @@ def drawn_factors(draws: int, independent: Array, rng: np.random.Generator, kurt
         of n/(1 + kappa) pixels times a common factor of variance kappa/n, which gives an eigenvalue the relative
         variance (2 + 3 kappa)/n (Waternaux 1976).
 
-    Examples
-    --------
     >>> one, two = (drawn_factors(draws, np.full(3, 9.0), np.random.default_rng(1), 0.5) for draws in (1, 2))
     >>> bool(np.array_equal(one[0], two[0]))
     True

@@ -813,11 +813,6 @@ def average_roc(curves: Sequence[RocCurve], weights: npt.ArrayLike) -> RocCurve:
     P_D is the average of the groups by ``weights`` (how many targets each has); the limits are averaged as if the
     errors of all groups were fully correlated, which is the widest case.  Its points are those of the first curve that
     lie on all the others too, between whose points P_D is :func:`hyperval.model.detection_at`.
-
-    >>> fine, coarse = (np.array(levels) for levels in ([1e-4, 1e-3, 1e-2, 0.1, 1.0], [1e-3, 0.1, 1.0]))
-    >>> joined = average_roc([RocCurve(pfa, *[pfa**0.5] * 3, -pfa) for pfa in (fine, coarse)], [1, 1])
-    >>> joined.pfa.tolist(), [round(float(x), 2) for x in joined.pd / joined.pfa**0.5]
-    ([0.001, 0.01, 0.1, 1.0], [1.0, 1.01, 1.0, 1.0])
     """
     first, share = curves[0], np.asarray(weights, dtype=float) / np.sum(weights)
     pfa = first.pfa[first.pfa >= max(c.pfa[0] for c in curves)]

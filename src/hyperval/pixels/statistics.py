@@ -731,7 +731,7 @@ def _perturbed_draws(
     """
     vectors, sd, of_errors = directions.vectors, np.sqrt(directions.values), rng.spawn(1)[0]
     most = max(_BLOCK // vectors.size, 1)
-    for count in [most] * (draws // most) + [draws % most] * (draws % most > 0):
+    for count in (min(most, draws - start) for start in range(0, draws, most)):
         r, q = of_errors.standard_normal((count if errors.size else 1, errors.shape[1])) @ errors
         roots = np.exp(r)[..., None] * (vectors * sd + q[..., None] * (vectors / (2.0 * sd)))
         yield roots, drawn_factors(count, n, rng, kurtosis)
