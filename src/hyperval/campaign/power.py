@@ -72,15 +72,16 @@ class InjectedError(Model):
 
         >>> InjectedError(gates=("radiance | lawn | sixs | p_value_shape",)).detail
         'shape of the radiance, lawn'
-        >>> InjectedError(gates=("radiance | a | b | sixs | p_value_shape",)).detail  # of the subject 'a | b'
+        >>> gates = [f"radiance | a | b | {method} | p_value_shape" for method in ("sixs", "modtran")]
+        >>> InjectedError(gates=gates).detail  # of the subject 'a | b', told once
         'shape of the radiance, a | b'
         """
-        more = len(self.gates) - _MAX_NAMED
-        words = list(self.gates[:_MAX_NAMED])
+        words = list(self.gates)
         with suppress(UsageError):  # a metric of another version
             words = [f"{plain_words(m, product)}, {subject}" for product, subject, _, m in map(split_key, words)]
-        criteria = "; ".join(words) + f"; and {more} more" * (more > 0)
-        return self.not_applicable or criteria or ", ".join(f"{product} {n}" for product, n in self.informing.items())
+        named = list(dict.fromkeys(words))[:_MAX_NAMED]
+        named += [f"and {more} more"] if (more := sum(one not in named for one in words)) else []
+        return self.not_applicable or "; ".join(named) or ", ".join(f"{name} {n}" for name, n in self.informing.items())
 
 
 class AttributionSkill(Model):

@@ -217,9 +217,14 @@ def drawn_factors(draws: int, independent: Array, rng: np.random.Generator, kurt
         of n/(1 + kappa) pixels times a common factor of variance kappa/n, which gives an eigenvalue the relative
         variance (2 + 3 kappa)/n (Waternaux 1976).
 
-    >>> one, two = (drawn_factors(draws, np.full(3, 9.0), np.random.default_rng(1), 0.5) for draws in (1, 2))
-    >>> bool(np.array_equal(one[0], two[0]))
-    True
+    >>> n = np.array([30.0, 60.0, 6.0])
+    >>> one, many = (drawn_factors(draws, n, np.random.default_rng(1)) for draws in (1, 8000))
+    >>> variances = np.sum(many**2, axis=2)  # 1 on average, to sqrt(2/n)
+    >>> bool(np.array_equal(one[0], many[0])), variances.mean(axis=0).round(1), (variances.var(axis=0) * n).round(1)
+    (True, array([1., 1., 1.]), array([2., 2., 2.]))
+    >>> tailed = drawn_factors(8000, 100.0 * n, np.random.default_rng(1), 0.5)
+    >>> round(600.0 * float(np.sum(tailed[:, 2] ** 2, axis=1).var()), 1)  # 2 + 3 kappa
+    3.5
     """
     n, size = independent / (1.0 + kurtosis), independent.size
     least = float(n.min())

@@ -236,7 +236,7 @@ def _conflict_text(rows: Sequence[Result]) -> str:
         if any(not tests_the_uncertainty(row) for row in met):
             words.append("The criteria that are met say how large the differences are, not that they are explained.")
         if any(tests_the_uncertainty(row) for row in met):
-            words.append("A test of one subject that is met has too little power to contradict them.")
+            words.append("A test of one subject that is met does not contradict that: it has less power.")
     if wide:
         words.append(
             f"Budget too wide: the stated uncertainty is far larger than the differences ({_names(wide)}); a test "
