@@ -72,7 +72,12 @@ class Whitened:
         self.residual = self.whiten(r)
 
     def whiten(self, columns: npt.ArrayLike) -> Array:
-        """L^-1 times columns (n,) or (n, k)."""
+        """L^-1 times columns (n,) or (n, k).
+
+        >>> Whitened([2.0], np.eye(1)).whiten([np.nan])
+        Traceback (most recent call last):
+        ValueError: array must not contain infs or NaNs
+        """
         x = np.asarray_chkfinite((np.asarray(columns, dtype=float).T / self._sd).T)
         return np.asarray(linalg.solve_triangular(self._lower, x, lower=True, check_finite=False))  # of the factor
 
