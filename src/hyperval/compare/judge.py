@@ -344,10 +344,12 @@ def with_effect(row: Result, level: float = math.nan) -> Result:
     Parameters
     ----------
     level : of a test, its part of the campaign's level
+
+    >>> with_effect(Result("", "radiance", "lawn", "", "p_value_full", 0.03)).p_value
+    0.03
     """
     metric, unit, about = metric_of(row.metric), metric_of(row.metric).effect, row.about
-    if about or metric.kind is Kind.TEST:  # of most rows neither
-        row = replace(row, about=None, p_value=row.value if metric.kind is Kind.TEST else math.nan)
+    row = replace(row, about=None, p_value=row.value if metric.kind is Kind.TEST else math.nan)
     if unit is None or not row.planned or math.isnan(row.value):
         return row
     about = about or (_quantity_effect(row) if metric.kind is Kind.QUANTITY else None)
